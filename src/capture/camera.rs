@@ -1,0 +1,132 @@
+//! A perspective camera with the distortion of the OPENCV model.
+//!
+//! Camera space has OpenGL axes: +X right, +Y up, looking along −Z. Pixel (0, 0) is the top-left pixel and
+//! its centre lies at (0.5, 0.5). Distances are in the mesh's units.
+
+use glam::{DAffine3, DVec2, DVec3};
+
+/// Radial and tangential lens distortion, applied to normalised image coordinates `(x, y) = (X/Z, Y/Z)`
+/// with y downwards: the OPENCV model (k1, k2, p1, p2), extended by the radial k3 and k4.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Distortion {
+    /// Radial coefficients of r², r⁴, r⁶ and r⁸.
+    pub k: [f64; 4],
+    /// Tangential coefficients.
+    pub p: [f64; 2],
+}
+
+/// A camera: image size, intrinsics in pixels and pose.
+#[derive(Clone, Debug)]
+pub struct Camera {
+    /// Image width in pixels.
+    pub width: u32,
+    /// Image height in pixels.
+    pub height: u32,
+    /// Focal lengths in pixels, horizontal and vertical.
+    pub focal: DVec2,
+    /// Principal point in pixels.
+    pub centre: DVec2,
+    /// Lens distortion; all zero for a pinhole.
+    pub distortion: Distortion,
+    /// Camera-to-world transform: a rotation and the camera's position.
+    pub world_from_camera: DAffine3,
+}
+
+impl Distortion {
+    /// Whether there is none, so that straight lines stay straight.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Distorted coordinates of undistorted normalised coordinates.
+    pub fn apply(&self, u: DVec2) -> DVec2 {
+        let r2 = u.length_squared();
+        let [k1, k2, k3, k4] = self.k;
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
+        let [p1, p2] = self.p;
+        let xy = 2.0 * u.x * u.y;
+        DVec2::new(
+            u.x * radial + p1 * xy + p2 * (r2 + 2.0 * u.x * u.x),
+            u.y * radial + p2 * xy + p1 * (r2 + 2.0 * u.y * u.y),
+        )
+    }
+
+    /// Undistorted coordinates of distorted ones, by Newton's method with a numerical Jacobian.
+    pub fn remove(&self, d: DVec2) -> DVec2 {
+        if self.is_none() {
+            return d;
+        }
+        const STEP: f64 = 1e-6;
+        let mut u = d;
+        for _ in 0..20 {
+            let f = self.apply(u) - d;
+            if f.length_squared() < 1e-24 {
+                break;
+            }
+            let along_x = (self.apply(u + DVec2::new(STEP, 0.0)) - d - f) / STEP;
+            let along_y = (self.apply(u + DVec2::new(0.0, STEP)) - d - f) / STEP;
+            let det = along_x.x * along_y.y - along_y.x * along_x.y;
+            if det.abs() < 1e-9 {
+                break;
+            }
+            u -= DVec2::new(
+                (f.x * along_y.y - along_y.x * f.y) / det,
+                (along_x.x * f.y - f.x * along_x.y) / det,
+            );
+        }
+        u
+    }
+}
+
+impl Camera {
+    /// The camera's position in the world.
+    pub fn position(&self) -> DVec3 {
+        self.world_from_camera.translation
+    }
+
+    /// The camera's up vector in the world, unit.
+    pub fn up(&self) -> DVec3 {
+        self.world_from_camera.transform_vector3(DVec3::Y)
+    }
+
+    /// Unit direction the camera looks along, in the world.
+    pub fn forward(&self) -> DVec3 {
+        self.world_from_camera.transform_vector3(DVec3::NEG_Z)
+    }
+
+    /// The same camera with `factor` times as many pixels along each side.
+    pub fn supersampled(&self, factor: u32) -> Self {
+        let f = f64::from(factor);
+        Self {
+            width: self.width * factor,
+            height: self.height * factor,
+            focal: self.focal * f,
+            centre: self.centre * f,
+            ..self.clone()
+        }
+    }
+
+    /// World point in camera space.
+    pub fn to_camera(&self, world: DVec3) -> DVec3 {
+        self.world_from_camera.matrix3.transpose() * (world - self.position())
+    }
+
+    /// Pixel coordinates of a world point, `None` where it lies behind the camera.
+    pub fn project(&self, world: DVec3) -> Option<DVec2> {
+        let c = self.to_camera(world);
+        let depth = -c.z;
+        if depth <= 1e-12 {
+            return None;
+        }
+        let u = self.distortion.apply(DVec2::new(c.x / depth, -c.y / depth));
+        Some(u * self.focal + self.centre)
+    }
+
+    /// Unit direction, in the world, of the ray from the camera's position through a pixel coordinate.
+    pub fn ray(&self, pixel: DVec2) -> DVec3 {
+        let u = self.distortion.remove((pixel - self.centre) / self.focal);
+        self.world_from_camera
+            .transform_vector3(DVec3::new(u.x, -u.y, -1.0))
+            .normalize_or_zero()
+    }
+}

@@ -1,0 +1,82 @@
+//! The object's surface as a triangle mesh.
+
+use glam::{Vec2, Vec3};
+
+/// Triangles over shared vertices. Corners that differ in normal or texture coordinate are distinct vertices.
+#[derive(Clone, Debug, Default)]
+pub struct Mesh {
+    /// One position per vertex.
+    pub positions: Vec<Vec3>,
+    /// One unit shading normal per vertex.
+    pub normals: Vec<Vec3>,
+    /// One texture coordinate per vertex (v upwards, as in OBJ), or empty if the mesh has none.
+    pub uvs: Vec<Vec2>,
+    /// Three vertex indices per triangle, counter-clockwise seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// A point on the mesh.
+#[derive(Clone, Copy, Debug)]
+pub struct SurfacePoint {
+    /// World position.
+    pub position: Vec3,
+    /// Unit shading normal: the vertex normals interpolated.
+    pub normal: Vec3,
+}
+
+impl Mesh {
+    /// Smallest and largest coordinates over all vertices that triangles use.
+    pub fn bounds(&self) -> (Vec3, Vec3) {
+        self.triangles.iter().flatten().fold(
+            (Vec3::INFINITY, Vec3::NEG_INFINITY),
+            |(lo, hi), &v| {
+                let p = self.positions[v as usize];
+                (lo.min(p), hi.max(p))
+            },
+        )
+    }
+
+    /// The object's centre: the centre of the bounding box, from which light directions are measured.
+    pub fn centre(&self) -> Vec3 {
+        let (lo, hi) = self.bounds();
+        (lo + hi) * 0.5
+    }
+
+    /// Length of the bounding box's diagonal.
+    pub fn diagonal(&self) -> f32 {
+        let (lo, hi) = self.bounds();
+        (hi - lo).length()
+    }
+
+    /// The three corner positions of a triangle.
+    pub fn corners(&self, triangle: u32) -> [Vec3; 3] {
+        self.triangles[triangle as usize].map(|v| self.positions[v as usize])
+    }
+
+    /// Normal of a triangle's plane, unit or zero for a degenerate one.
+    pub fn face_normal(&self, triangle: u32) -> Vec3 {
+        let [a, b, c] = self.corners(triangle);
+        (b - a).cross(c - a).normalize_or_zero()
+    }
+
+    /// Position and shading normal at barycentric weights `(b1, b2)` of the second and third corner.
+    pub fn point(&self, triangle: u32, barycentric: Vec2) -> SurfacePoint {
+        let weights = [
+            1.0 - barycentric.x - barycentric.y,
+            barycentric.x,
+            barycentric.y,
+        ];
+        let mut position = Vec3::ZERO;
+        let mut normal = Vec3::ZERO;
+        for (&v, w) in self.triangles[triangle as usize].iter().zip(weights) {
+            position += w * self.positions[v as usize];
+            normal += w * self.normals[v as usize];
+        }
+        SurfacePoint {
+            position,
+            normal: normal
+                .try_normalize()
+                .unwrap_or_else(|| self.face_normal(triangle)),
+        }
+    }
+}

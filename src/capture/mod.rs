@@ -1,0 +1,60 @@
+//! What was measured: the photographs, their cameras and the mesh, read from a capture folder.
+
+mod camera;
+mod mesh;
+
+pub use camera::{Camera, Distortion};
+pub use mesh::{Mesh, SurfacePoint};
+
+use glam::DVec3;
+
+/// One photograph as linear radiance.
+#[derive(Clone, Debug)]
+pub struct Photograph {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Mean linear radiance over each pixel's area before a black background, RGB, row by row from the top:
+    /// premultiplied by coverage. Finite everywhere: unusable pixels hold zero.
+    pub radiance: Vec<[f32; 3]>,
+    /// Coverage of each pixel by the object in [0, 1], if the file or a mask states it.
+    pub coverage: Option<Vec<f32>>,
+    /// Whether each pixel is data: finite, not saturated, not masked out.
+    pub usable: Vec<bool>,
+}
+
+/// One photograph with its camera.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// File path as the manifest has it.
+    pub name: String,
+    /// Where it was taken from; same size as the photograph.
+    pub camera: Camera,
+    /// What was measured.
+    pub photograph: Photograph,
+}
+
+/// The hemisphere on which the lights are sought.
+#[derive(Clone, Copy, Debug)]
+pub struct LightHemisphere {
+    /// Unit vector towards its pole.
+    pub up: DVec3,
+    /// Radius in mesh units about the object's centre, `None` for distant light.
+    pub radius: Option<f64>,
+}
+
+/// Everything measured of one object.
+#[derive(Clone, Debug)]
+pub struct Capture {
+    /// The capture's name: its folder's.
+    pub name: String,
+    /// At least one view.
+    pub views: Vec<View>,
+    /// The surface, in the cameras' world frame.
+    pub mesh: Mesh,
+    /// Where lights are sought.
+    pub light_hemisphere: LightHemisphere,
+    /// What a user should know of the input, in whole sentences.
+    pub warnings: Vec<String>,
+}

@@ -1,0 +1,3 @@
+//! rekindle relights a captured object.
+
+pub mod capture;
