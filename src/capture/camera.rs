@@ -13,6 +13,8 @@ pub struct Distortion {
     pub k: [f64; 4],
     /// Tangential coefficients.
     pub p: [f64; 2],
+    /// Coefficients of r², r⁴ and r⁶ in the denominator of the radial factor (FULL_OPENCV's k4, k5 and k6).
+    pub denominator: [f64; 3],
 }
 
 /// A camera: image size, intrinsics in pixels and pose.
@@ -42,7 +44,9 @@ impl Distortion {
     pub fn apply(&self, u: DVec2) -> DVec2 {
         let r2 = u.length_squared();
         let [k1, k2, k3, k4] = self.k;
-        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
+        let [k5, k6, k7] = self.denominator;
+        let radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4))))
+            / (1.0 + r2 * (k5 + r2 * (k6 + r2 * k7)));
         let [p1, p2] = self.p;
         let xy = 2.0 * u.x * u.y;
         DVec2::new(

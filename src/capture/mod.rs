@@ -1,9 +1,20 @@
 //! What was measured: the photographs, their cameras and the mesh, read from a capture folder.
 
 mod camera;
+mod error;
+mod exposures;
+mod load;
+mod manifest;
 mod mesh;
+mod mesh_file;
+mod obj;
+mod picture;
+mod ply;
+mod polygon;
 
 pub use camera::{Camera, Distortion};
+pub use error::CaptureError;
+pub use load::read_cameras;
 pub use mesh::{Mesh, SurfacePoint};
 
 use glam::DVec3;

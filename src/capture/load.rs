@@ -1,0 +1,429 @@
+//! Reading a whole capture: manifest, images in parallel, mesh, and whether they belong together.
+
+use super::camera::Camera;
+use super::error::CaptureError;
+use super::exposures::{self, Part};
+use super::manifest::{Frame, Manifest};
+use super::mesh::Mesh;
+use super::picture::{self, Encoding, Picture};
+use super::{Capture, LightHemisphere, Photograph, View, mesh_file};
+use glam::{DAffine3, DVec3};
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+
+/// Most points of the mesh tried when looking for one that a camera sees.
+const SAMPLES: usize = 20_000;
+
+impl Capture {
+    /// Reads a capture from its folder or its `transforms.json`.
+    pub fn load(path: &Path) -> Result<Self, CaptureError> {
+        let manifest = Manifest::read(path)?;
+        exposures::check_scale(&manifest)?;
+        let ((frames, masks), mesh) = rayon::join(
+            || read_images(&manifest),
+            || {
+                let mesh_path = manifest.mesh_path.as_deref();
+                let file = mesh_file::find(&manifest.folder, mesh_path, &manifest.path)?;
+                let (mesh, warnings) = mesh_file::read(&file)?;
+                Ok((file, mesh, warnings))
+            },
+        );
+        let mut warnings = Vec::new();
+        let mut views = Vec::with_capacity(manifest.frames.len());
+        let mut tally = Tally::default();
+        for ((frame, parts), mask) in manifest.frames.iter().zip(frames).zip(masks) {
+            views.push(make_view(&manifest, frame, parts?, mask?, &mut tally)?);
+        }
+        tally.report(&mut warnings);
+        let (mesh_path, mesh, mesh_warnings) = mesh?;
+        warnings.extend(mesh_warnings);
+        place_cameras(&manifest, &mut views, &mesh, mesh_path, &mut warnings)?;
+        let light_hemisphere = hemisphere(&manifest, &views, &mesh, &mut warnings);
+        Ok(Self {
+            name: name_of(&manifest.folder),
+            views,
+            mesh,
+            light_hemisphere,
+            warnings,
+        })
+    }
+}
+
+/// Reads only the cameras of a `transforms.json`, with the frames' names, for rendering from them. Image sizes come
+/// from the manifest or else from the images' headers.
+pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, CaptureError> {
+    let manifest = Manifest::read(path)?;
+    manifest
+        .frames
+        .iter()
+        .map(|frame| {
+            let size = match frame.lens.size {
+                (Some(width), Some(height)) => (width, height),
+                _ => {
+                    let first = &frame.exposures[0];
+                    picture::read_size(&first.path, &first.field)?
+                }
+            };
+            let camera = frame.lens.camera(size, frame.world_from_camera);
+            Ok((frame.name.clone(), camera))
+        })
+        .collect()
+}
+
+/// The folder's name, also where the path is `.`.
+fn name_of(folder: &Path) -> String {
+    let full = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    full.file_name().map_or_else(
+        || "capture".to_owned(),
+        |n| n.to_string_lossy().into_owned(),
+    )
+}
+
+type Frames = Vec<Result<Vec<Part>, CaptureError>>;
+type Masks = Vec<Result<Option<Picture>, CaptureError>>;
+
+/// Decodes all images and masks in parallel, in the order of the frames.
+fn read_images(manifest: &Manifest) -> (Frames, Masks) {
+    rayon::join(
+        || {
+            manifest
+                .frames
+                .par_iter()
+                .map(|frame| read_frame(manifest, frame))
+                .collect()
+        },
+        || {
+            manifest
+                .frames
+                .par_iter()
+                .map(|frame| {
+                    let Some(path) = &frame.mask else {
+                        return Ok(None);
+                    };
+                    let field = format!("{}.mask_path", frame.field);
+                    Picture::read(path, &field, &|_| Ok(())).map(Some)
+                })
+                .collect()
+        },
+    )
+}
+
+fn read_frame(manifest: &Manifest, frame: &Frame) -> Result<Vec<Part>, CaptureError> {
+    frame
+        .exposures
+        .par_iter()
+        .map(|exposure| {
+            let check = |found: (u32, u32)| {
+                let stated = (
+                    frame.lens.size.0.unwrap_or(found.0),
+                    frame.lens.size.1.unwrap_or(found.1),
+                );
+                if stated == found {
+                    return Ok(());
+                }
+                Err(CaptureError::ImageSize {
+                    path: exposure.path.clone(),
+                    found,
+                    stated,
+                    stated_by: manifest.path.display().to_string(),
+                })
+            };
+            let picture = Picture::read(&exposure.path, &exposure.field, &check)?;
+            Ok(Part {
+                path: exposure.path.clone(),
+                amount: exposure.amount,
+                picture,
+            })
+        })
+        .collect::<Vec<Result<Part, CaptureError>>>()
+        .into_iter()
+        .collect()
+}
+
+/// What happened to the pixels of all views.
+#[derive(Default)]
+struct Tally {
+    /// Views with pixels that are not finite: name and count.
+    non_finite: Vec<(String, usize)>,
+    /// Views with negative pixels: name and count.
+    negative: Vec<(String, usize)>,
+    /// Views with saturated pixels: name and count.
+    saturated: Vec<(String, usize)>,
+    /// Number of views from one 8-bit file.
+    single_srgb: usize,
+    /// Number of views from one 16-bit file.
+    single_linear: usize,
+}
+
+impl Tally {
+    fn report(self, warnings: &mut Vec<String>) {
+        let list = |counts: &[(String, usize)]| {
+            let total: usize = counts.iter().map(|(_, count)| count).sum();
+            let names: Vec<&str> = counts
+                .iter()
+                .take(3)
+                .map(|(name, _)| name.as_str())
+                .collect();
+            let more = match counts.len().saturating_sub(3) {
+                0 => String::new(),
+                more => format!(" and {more} more"),
+            };
+            format!("{total} pixels in {}{more}", names.join(", "))
+        };
+        if !self.non_finite.is_empty() {
+            warnings.push(format!(
+                "Not finite and left out: {}.",
+                list(&self.non_finite)
+            ));
+        }
+        if !self.negative.is_empty() {
+            warnings.push(format!(
+                "Negative and set to zero: {}.",
+                list(&self.negative)
+            ));
+        }
+        if !self.saturated.is_empty() {
+            warnings.push(format!(
+                "Saturated and left out: {}. Highlights there are lost; take shorter exposures too.",
+                list(&self.saturated)
+            ));
+        }
+        if self.single_srgb > 0 {
+            warnings.push(format!(
+                "{} views are single 8-bit images: their values are taken as sRGB-encoded and their highlights are \
+                 clipped, so that light strengths may come out too low. Use EXR or several exposures.",
+                self.single_srgb
+            ));
+        }
+        if self.single_linear > 0 {
+            warnings.push(format!(
+                "{} views are 16-bit images, which are taken as linear; export them without a tone curve.",
+                self.single_linear
+            ));
+        }
+    }
+}
+
+/// Joins the files of a frame to one photograph with its camera.
+fn make_view(
+    manifest: &Manifest,
+    frame: &Frame,
+    parts: Vec<Part>,
+    mask: Option<Picture>,
+    tally: &mut Tally,
+) -> Result<View, CaptureError> {
+    let first = &parts[0];
+    let path = first.path.clone();
+    if parts.len() == 1 {
+        match first.picture.encoding {
+            Encoding::Float => {}
+            Encoding::Linear16 => tally.single_linear += 1,
+            Encoding::Srgb8 => tally.single_srgb += 1,
+        }
+    }
+    let picture = exposures::merge(parts)?;
+    let size = (picture.width, picture.height);
+    if let (Some(mask), Some(path)) = (&mask, &frame.mask) {
+        let found = (mask.width, mask.height);
+        if found != size {
+            return Err(CaptureError::ImageSize {
+                path: path.clone(),
+                found,
+                stated: size,
+                stated_by: format!("its image in {}", manifest.path.display()),
+            });
+        }
+    }
+    let photograph = clean(picture, mask.as_ref(), &frame.name, tally);
+    check_useful(&photograph, &path)?;
+    Ok(View {
+        name: frame.name.clone(),
+        camera: frame.lens.camera(size, frame.world_from_camera),
+        photograph,
+    })
+}
+
+/// Makes every pixel finite and not negative and marks what is data.
+fn clean(picture: Picture, mask: Option<&Picture>, name: &str, tally: &mut Tally) -> Photograph {
+    let Picture {
+        width,
+        height,
+        mut rgb,
+        alpha,
+        saturated,
+        ..
+    } = picture;
+    let opaque = alpha
+        .as_ref()
+        .is_none_or(|alpha| alpha.iter().all(|&a| a == 1.0));
+    let mut coverage = if opaque { None } else { alpha };
+    if let (None, Some(mask)) = (&coverage, mask) {
+        coverage = Some(
+            mask.rgb
+                .iter()
+                .map(|&p| f32::from(u8::from(is_white(p))))
+                .collect(),
+        );
+    }
+    let mut usable = vec![true; rgb.len()];
+    let (mut non_finite, mut negative, mut clipped) = (0, 0, 0);
+    for (i, pixel) in rgb.iter_mut().enumerate() {
+        let masked = mask.is_some_and(|mask| !is_white(mask.rgb[i]));
+        let cover = coverage.as_ref().map_or(1.0, |coverage| coverage[i]);
+        if masked {
+            usable[i] = false;
+        } else if !pixel.iter().all(|v| v.is_finite()) || !cover.is_finite() {
+            non_finite += 1;
+            usable[i] = false;
+        } else if saturated[i] && cover > 0.0 {
+            clipped += 1;
+            usable[i] = false;
+        } else if pixel.iter().any(|&v| v < 0.0) {
+            negative += 1;
+            *pixel = pixel.map(|v| v.max(0.0));
+        }
+        if !usable[i] {
+            *pixel = [0.0; 3];
+        }
+    }
+    if let Some(coverage) = &mut coverage {
+        for value in coverage {
+            *value = if value.is_finite() {
+                value.clamp(0.0, 1.0)
+            } else {
+                0.0
+            };
+        }
+    }
+    for (count, list) in [
+        (non_finite, &mut tally.non_finite),
+        (negative, &mut tally.negative),
+        (clipped, &mut tally.saturated),
+    ] {
+        if count > 0 {
+            list.push((name.to_owned(), count));
+        }
+    }
+    Photograph {
+        width,
+        height,
+        radiance: rgb,
+        coverage,
+        usable,
+    }
+}
+
+/// Whether a mask keeps a pixel.
+fn is_white([r, g, b]: [f32; 3]) -> bool {
+    // Half of full scale in sRGB code values, 0.214 in linear light.
+    r.max(g).max(b) > 0.2
+}
+
+/// Refuses images without a single pixel of data.
+fn check_useful(photograph: &Photograph, path: &Path) -> Result<(), CaptureError> {
+    let useless = |problem: &str, advice: &str| {
+        Err(CaptureError::ImageUseless {
+            path: path.to_owned(),
+            problem: problem.to_owned(),
+            advice: advice.to_owned(),
+        })
+    };
+    if !photograph.usable.contains(&true) {
+        return useless(
+            "no pixel can be used: all are masked, saturated or not finite",
+            "render or photograph it anew, or remove its frame",
+        );
+    }
+    if photograph.radiance.iter().flatten().all(|&v| v == 0.0) {
+        return useless(
+            "the image is black: all usable pixels are zero",
+            "render or photograph it anew, or remove its frame",
+        );
+    }
+    Ok(())
+}
+
+/// Makes sure that some camera sees the mesh. Some programs move the mesh along with the cameras; if only the
+/// matrices as written see it, they are used.
+fn place_cameras(
+    manifest: &Manifest,
+    views: &mut [View],
+    mesh: &Mesh,
+    mesh_path: PathBuf,
+    warnings: &mut Vec<String>,
+) -> Result<(), CaptureError> {
+    let seen = |views: &[View]| views.iter().any(|view| sees_any(&view.camera, mesh));
+    if seen(views) {
+        return Ok(());
+    }
+    if manifest.applied.is_some() {
+        let undone: Vec<DAffine3> = views.iter().map(|v| v.camera.world_from_camera).collect();
+        for (view, frame) in views.iter_mut().zip(&manifest.frames) {
+            view.camera.world_from_camera = frame.stated_pose;
+        }
+        if seen(views) {
+            warnings.push(
+                "The mesh is in the frame of the cameras as written, so applied_transform was not undone."
+                    .to_owned(),
+            );
+            return Ok(());
+        }
+        for (view, pose) in views.iter_mut().zip(undone) {
+            view.camera.world_from_camera = pose;
+        }
+    }
+    Err(CaptureError::MeshUnseen { path: mesh_path })
+}
+
+/// Whether any of the mesh's points, or a sample of many, falls inside the camera's image.
+fn sees_any(camera: &Camera, mesh: &Mesh) -> bool {
+    let step = mesh.triangles.len().div_ceil(SAMPLES);
+    mesh.triangles.iter().step_by(step).any(|triangle| {
+        let centre = triangle
+            .iter()
+            .map(|&v| mesh.positions[v as usize].as_dvec3())
+            .sum::<DVec3>()
+            / 3.0;
+        camera.project(centre).is_some_and(|pixel| {
+            pixel.min_element() >= 0.0
+                && pixel.x <= f64::from(camera.width)
+                && pixel.y <= f64::from(camera.height)
+        })
+    })
+}
+
+/// The light hemisphere as stated, or up as the mean of the cameras' up vectors.
+fn hemisphere(
+    manifest: &Manifest,
+    views: &[View],
+    mesh: &Mesh,
+    warnings: &mut Vec<String>,
+) -> LightHemisphere {
+    let up = manifest.up.unwrap_or_else(|| {
+        let sum: DVec3 = views.iter().map(|view| view.camera.up()).sum();
+        let (up, from) = match (sum / views.len() as f64).try_normalize() {
+            Some(up) if sum.length() > 0.05 * views.len() as f64 => {
+                (up, "the mean of the cameras' up vectors")
+            }
+            _ => (DVec3::Y, "the y axis, as the cameras' up vectors cancel"),
+        };
+        warnings.push(format!(
+            "light_hemisphere.up is not stated: {from} is used, [{:.4}, {:.4}, {:.4}].",
+            up.x, up.y, up.z
+        ));
+        up
+    });
+    if let Some(radius) = manifest.radius
+        && radius <= 0.5 * f64::from(mesh.diagonal())
+    {
+        warnings.push(format!(
+            "light_hemisphere.radius is {radius}, so that the hemisphere cuts through the object's bounding sphere of \
+             radius {:.4}; check its unit.",
+            0.5 * mesh.diagonal()
+        ));
+    }
+    LightHemisphere {
+        up,
+        radius: manifest.radius,
+    }
+}

@@ -1,0 +1,208 @@
+//! Finding and reading the mesh file, and making it fit to use: every vertex gets a unit normal.
+
+use super::error::CaptureError;
+use super::mesh::Mesh;
+use super::{obj, ply};
+use glam::{Vec2, Vec3};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// A mesh as its file has it.
+#[derive(Debug, Default)]
+pub(super) struct RawMesh {
+    /// One finite position per vertex.
+    pub positions: Vec<Vec3>,
+    /// One normal per vertex, of any length, zero where the file has none.
+    pub normals: Vec<Vec3>,
+    /// One texture coordinate per vertex, NaN where the file has none, or empty.
+    pub uvs: Vec<Vec2>,
+    /// Triangles with indices in range.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// The file that holds the mesh: the one named, or the only one in the folder.
+pub(super) fn find(
+    folder: &Path,
+    named: Option<&str>,
+    manifest: &Path,
+) -> Result<PathBuf, CaptureError> {
+    if let Some(name) = named {
+        let plain = folder.join(name.strip_prefix("./").unwrap_or(name));
+        let turned = folder.join(name.replace('\\', "/"));
+        return [plain.clone(), turned]
+            .into_iter()
+            .find(|path| path.is_file())
+            .ok_or_else(|| CaptureError::MeshMissing {
+                path: plain,
+                problem: "no such mesh".to_owned(),
+                advice: format!(
+                    "put it there or correct mesh_path in {}",
+                    manifest.display()
+                ),
+            });
+    }
+    let missing = |problem: String, advice: &str| CaptureError::MeshMissing {
+        path: folder.to_owned(),
+        problem,
+        advice: advice.to_owned(),
+    };
+    let entries = std::fs::read_dir(folder).map_err(|source| CaptureError::Unreadable {
+        path: folder.to_owned(),
+        source,
+    })?;
+    let mut found: Vec<PathBuf> = entries
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|path| match extension(path).as_str() {
+            "obj" => true,
+            // nerfstudio leaves sparse point clouds beside the manifest.
+            "ply" => ply::has_faces(path),
+            _ => false,
+        })
+        .collect();
+    found.sort();
+    match found.as_slice() {
+        [only] => Ok(only.clone()),
+        [] => Err(missing(
+            "no mesh in this folder".to_owned(),
+            "add the object's mesh as OBJ or PLY and name it by mesh_path",
+        )),
+        several => {
+            let names: Vec<_> = several
+                .iter()
+                .filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned()))
+                .collect();
+            Err(missing(
+                format!("several meshes in this folder ({})", names.join(", ")),
+                "name the right one by mesh_path in transforms.json",
+            ))
+        }
+    }
+}
+
+fn extension(path: &Path) -> String {
+    path.extension()
+        .map(|e| e.to_string_lossy().to_lowercase())
+        .unwrap_or_default()
+}
+
+/// Reads a mesh file. Returns the mesh and what a user should know of it.
+pub(super) fn read(path: &Path) -> Result<(Mesh, Vec<String>), CaptureError> {
+    let kind = extension(path);
+    if kind != "obj" && kind != "ply" {
+        return Err(CaptureError::MeshMissing {
+            path: path.to_owned(),
+            problem: "not a mesh format known here".to_owned(),
+            advice: "export the mesh as OBJ or PLY".to_owned(),
+        });
+    }
+    let bytes = std::fs::read(path).map_err(|source| CaptureError::Unreadable {
+        path: path.to_owned(),
+        source,
+    })?;
+    let raw = if kind == "obj" {
+        obj::parse(path, &bytes)?
+    } else {
+        ply::parse(path, &bytes)?
+    };
+    finish(path, raw)
+}
+
+/// Drops degenerate triangles, repairs normals and texture coordinates.
+pub(super) fn finish(path: &Path, raw: RawMesh) -> Result<(Mesh, Vec<String>), CaptureError> {
+    let mut warnings = Vec::new();
+    let mut mesh = Mesh {
+        positions: raw.positions,
+        normals: raw.normals,
+        uvs: raw.uvs,
+        triangles: raw.triangles,
+    };
+    let stated = mesh.triangles.len();
+    let positions = &mesh.positions;
+    mesh.triangles.retain(|t| {
+        let [a, b, c] = t.map(|v| positions[v as usize].as_dvec3());
+        (b - a).cross(c - a).length_squared() > 0.0
+    });
+    let dropped = stated - mesh.triangles.len();
+    if mesh.triangles.is_empty() {
+        return Err(CaptureError::MeshEmpty {
+            path: path.to_owned(),
+            problem: if stated == 0 {
+                format!("{} vertices but no faces", mesh.positions.len())
+            } else {
+                format!("all of its {stated} triangles have zero area")
+            },
+        });
+    }
+    if dropped > 0 {
+        warnings.push(format!(
+            "The mesh has {dropped} triangles of zero area, which were left out."
+        ));
+    }
+    if mesh.uvs.iter().any(|uv| !uv.is_finite()) {
+        warnings
+            .push("Texture coordinates of the mesh are incomplete and were left out.".to_owned());
+        mesh.uvs.clear();
+    }
+    let computed = repair_normals(&mut mesh);
+    if computed == mesh.positions.len() {
+        warnings
+            .push("The mesh has no normals; smooth ones were computed from its faces.".to_owned());
+    } else if computed > 0 {
+        warnings.push(format!(
+            "{computed} vertex normals of the mesh were missing or unusable and were computed from its faces."
+        ));
+    }
+    Ok((mesh, warnings))
+}
+
+/// Makes every normal unit length; where there is none, the mean of the adjacent face normals weighted by
+/// the angle at the vertex. Vertices at the same position share their faces, so that texture seams stay
+/// smooth. Returns how many normals were computed.
+fn repair_normals(mesh: &mut Mesh) -> usize {
+    mesh.normals.resize(mesh.positions.len(), Vec3::ZERO);
+    for normal in &mut mesh.normals {
+        *normal = normal
+            .as_dvec3()
+            .try_normalize()
+            .map_or(Vec3::ZERO, |n| n.as_vec3());
+    }
+    let computed = mesh.normals.iter().filter(|n| **n == Vec3::ZERO).count();
+    if computed == 0 {
+        return 0;
+    }
+    let places = places(&mesh.positions);
+    let mut sums = vec![glam::DVec3::ZERO; mesh.positions.len()];
+    for triangle in &mesh.triangles {
+        let p = triangle.map(|v| mesh.positions[v as usize].as_dvec3());
+        let face = (p[1] - p[0]).cross(p[2] - p[0]).normalize_or_zero();
+        for corner in 0..3 {
+            let (here, next, last) = (p[corner], p[(corner + 1) % 3], p[(corner + 2) % 3]);
+            let angle = (next - here).angle_between(last - here);
+            if angle.is_finite() {
+                sums[places[triangle[corner] as usize] as usize] += angle * face;
+            }
+        }
+    }
+    for (normal, &place) in mesh.normals.iter_mut().zip(&places) {
+        if *normal == Vec3::ZERO {
+            let sum = sums[place as usize].try_normalize();
+            // Vertices without faces are never looked at, but a unit vector keeps the promise.
+            *normal = sum.map_or(Vec3::Y, |n| n.as_vec3());
+        }
+    }
+    computed
+}
+
+/// For every vertex the first vertex at exactly the same position.
+fn places(positions: &[Vec3]) -> Vec<u32> {
+    let mut first: HashMap<[u32; 3], u32> = HashMap::with_capacity(positions.len());
+    positions
+        .iter()
+        .enumerate()
+        .map(|(i, p)| {
+            // Adding zero turns −0 into +0.
+            let key = (*p + Vec3::ZERO).to_array().map(f32::to_bits);
+            *first.entry(key).or_insert(i as u32)
+        })
+        .collect()
+}

@@ -1,0 +1,414 @@
+//! Image files as linear radiance.
+//!
+//! * EXR: linear, premultiplied; the layer with plain R, G, B is preferred; the data window is placed in the
+//!   display window.
+//! * Radiance HDR, floating-point TIFF: linear.
+//! * 16-bit PNG and TIFF: taken as linear. 8-bit PNG, TIFF and JPEG: decoded by the sRGB curve. Full scale is 1,
+//!   and pixels at full scale in any channel are saturated: they say only "at least this much". Alpha in
+//!   these files is straight and RGB gets multiplied by it after decoding.
+
+use super::error::CaptureError;
+use exr::meta::header::Header;
+use exr::prelude::{FlatImage, FlatSamples, MetaData, ReadChannels, ReadLayers};
+use image::{DynamicImage, ImageDecoder, ImageReader};
+use std::io::Cursor;
+use std::path::Path;
+
+/// Most pixels an image may have: beyond any camera, and small enough to fit in memory.
+const MAX_PIXELS: u64 = 256_000_000;
+
+/// Largest finite half float, where renderers and cameras clamp.
+const HALF_MAX: f32 = 65_504.0;
+
+/// Advice for files that end too early.
+const COPY_AGAIN: &str = "copy or export it anew";
+
+/// How values were stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Encoding {
+    /// Linear floating point.
+    Float,
+    /// 16 bits, linear, clipped at full scale.
+    Linear16,
+    /// 8 bits, sRGB-encoded, clipped at full scale.
+    Srgb8,
+}
+
+/// A decoded image.
+#[derive(Debug)]
+pub(super) struct Picture {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Linear RGB premultiplied by alpha, as stored otherwise: may be negative or not finite.
+    pub rgb: Vec<[f32; 3]>,
+    /// Alpha, if the file has a channel for it.
+    pub alpha: Option<Vec<f32>>,
+    /// Whether each pixel is clipped.
+    pub saturated: Vec<bool>,
+    /// How values were stored.
+    pub encoding: Encoding,
+}
+
+impl Picture {
+    /// Decodes an image file that should have the size `stated`, if any is.
+    pub(super) fn read(
+        path: &Path,
+        field: &str,
+        check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
+    ) -> Result<Self, CaptureError> {
+        let bytes = read_file(path, field)?;
+        if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+            read_exr(path, &bytes, check_size)
+        } else {
+            read_common(path, &bytes, check_size)
+        }
+    }
+}
+
+/// Width and height of an image file, from its header.
+pub(super) fn read_size(path: &Path, field: &str) -> Result<(u32, u32), CaptureError> {
+    let bytes = read_file(path, field)?;
+    if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+        let meta = MetaData::read_from_buffered(Cursor::new(&bytes), false)
+            .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
+        let window = display_size(path, meta.headers.first())?;
+        return Ok((window.0 as u32, window.1 as u32));
+    }
+    let decoder = common_decoder(path, &bytes)?;
+    Ok(decoder.dimensions())
+}
+
+fn read_file(path: &Path, field: &str) -> Result<Vec<u8>, CaptureError> {
+    if !path.is_file() {
+        return Err(CaptureError::ImageMissing {
+            path: path.to_owned(),
+            field: field.to_owned(),
+        });
+    }
+    std::fs::read(path).map_err(|source| CaptureError::Unreadable {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+fn broken(path: &Path, problem: impl Into<String>, advice: &str) -> CaptureError {
+    CaptureError::ImageBroken {
+        path: path.to_owned(),
+        problem: problem.into(),
+        advice: advice.to_owned(),
+    }
+}
+
+/// Refuses sizes that no real image has, before memory is allocated for them.
+fn check_pixels(path: &Path, width: u64, height: u64) -> Result<(), CaptureError> {
+    if width == 0 || height == 0 {
+        return Err(broken(path, "it has no pixels", COPY_AGAIN));
+    }
+    if width.saturating_mul(height) > MAX_PIXELS {
+        return Err(CaptureError::ImageTooLarge {
+            path: path.to_owned(),
+            width,
+            height,
+            limit: MAX_PIXELS / 1_000_000,
+        });
+    }
+    Ok(())
+}
+
+/// Width and height of the display window of an EXR header.
+fn display_size(path: &Path, header: Option<&Header>) -> Result<(usize, usize), CaptureError> {
+    let header = header.ok_or_else(|| broken(path, "it holds no image", COPY_AGAIN))?;
+    let size = header.shared_attributes.display_window.size;
+    check_pixels(path, size.x() as u64, size.y() as u64)?;
+    check_pixels(
+        path,
+        header.layer_size.x() as u64,
+        header.layer_size.y() as u64,
+    )?;
+    Ok((size.x(), size.y()))
+}
+
+/// The channels of one EXR part that make up the picture: indices of R, G, B and perhaps A.
+struct Layer {
+    part: usize,
+    rgb: [usize; 3],
+    alpha: Option<usize>,
+    /// Smaller is preferred.
+    rank: usize,
+}
+
+/// Finds the best layer: plain R, G, B first, then the combined or beauty pass, then the first there is.
+fn find_layer(headers: &[Header]) -> Option<Layer> {
+    let mut best: Option<Layer> = None;
+    for (part, header) in headers
+        .iter()
+        .enumerate()
+        .filter(|(_, header)| !header.deep)
+    {
+        let names: Vec<String> = header
+            .channels
+            .list
+            .iter()
+            .map(|c| c.name.to_string())
+            .collect();
+        let find = |name: String| {
+            names
+                .iter()
+                .position(|other| other.eq_ignore_ascii_case(&name))
+        };
+        for prefix in names.iter().filter_map(|name| {
+            let stem = name.strip_suffix('R').or_else(|| name.strip_suffix('r'))?;
+            (stem.is_empty() || stem.ends_with('.')).then_some(stem)
+        }) {
+            let channel = |letter: &str| find(format!("{prefix}{letter}"));
+            let (Some(r), Some(g), Some(b)) = (channel("R"), channel("G"), channel("B")) else {
+                continue;
+            };
+            let lower = prefix.to_lowercase();
+            let rank = if prefix.is_empty() {
+                0
+            } else if ["combined", "beauty", "rgba", "color", "colour"]
+                .iter()
+                .any(|word| lower.contains(word))
+            {
+                1
+            } else {
+                2
+            };
+            if best.as_ref().is_none_or(|best| rank < best.rank) {
+                best = Some(Layer {
+                    part,
+                    rgb: [r, g, b],
+                    alpha: channel("A"),
+                    rank,
+                });
+            }
+        }
+    }
+    best
+}
+
+fn read_exr(
+    path: &Path,
+    bytes: &[u8],
+    check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
+) -> Result<Picture, CaptureError> {
+    let damaged = |error: exr::error::Error| broken(path, error.to_string(), COPY_AGAIN);
+    let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
+    let Some(layer) = find_layer(&meta.headers) else {
+        let names: Vec<String> = meta
+            .headers
+            .iter()
+            .flat_map(|header| header.channels.list.iter().map(|c| c.name.to_string()))
+            .take(20)
+            .collect();
+        return Err(CaptureError::ImageChannels {
+            path: path.to_owned(),
+            channels: if names.is_empty() {
+                "none".to_owned()
+            } else {
+                names.join(", ")
+            },
+        });
+    };
+    for header in &meta.headers {
+        display_size(path, Some(header))?;
+    }
+    let header = &meta.headers[layer.part];
+    let size = display_size(path, Some(header))?;
+    check_size((size.0 as u32, size.1 as u32))?;
+    let wanted = layer.rgb.iter().chain(&layer.alpha);
+    if wanted
+        .map(|&i| header.channels.list[i].sampling)
+        .any(|s| s.x() != 1 || s.y() != 1)
+    {
+        return Err(broken(
+            path,
+            "its channels are subsampled",
+            "save it as plain RGB",
+        ));
+    }
+    let image: FlatImage = exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .all_layers()
+        .all_attributes()
+        .non_parallel()
+        .from_buffered(Cursor::new(bytes))
+        .map_err(damaged)?;
+    let part = image
+        .layer_data
+        .get(layer.part)
+        .ok_or_else(|| broken(path, "a part is missing", COPY_AGAIN))?;
+    let channels = &part.channel_data.list;
+    let offset =
+        header.own_attributes.layer_position - header.shared_attributes.display_window.position;
+    let place = Placement {
+        data_width: part.size.x(),
+        data_height: part.size.y(),
+        offset: (offset.x() as i64, offset.y() as i64),
+        size,
+    };
+    let mut rgb = vec![[0.0; 3]; size.0 * size.1];
+    let mut saturated = vec![false; rgb.len()];
+    for (c, &index) in layer.rgb.iter().enumerate() {
+        let samples = &channels[index].sample_data;
+        let limit = match samples {
+            FlatSamples::F16(_) => HALF_MAX,
+            FlatSamples::F32(_) | FlatSamples::U32(_) => f32::INFINITY,
+        };
+        place.each(samples, |pixel, value| {
+            rgb[pixel][c] = value;
+            saturated[pixel] |= value >= limit;
+        });
+    }
+    let alpha = layer.alpha.map(|index| {
+        let mut alpha = vec![0.0; rgb.len()];
+        place.each(&channels[index].sample_data, |pixel, value| {
+            alpha[pixel] = value
+        });
+        alpha
+    });
+    Ok(Picture {
+        width: size.0 as u32,
+        height: size.1 as u32,
+        rgb,
+        alpha,
+        saturated,
+        encoding: Encoding::Float,
+    })
+}
+
+/// Where a data window lies in the display window.
+struct Placement {
+    data_width: usize,
+    data_height: usize,
+    offset: (i64, i64),
+    size: (usize, usize),
+}
+
+impl Placement {
+    /// Calls `set` with the pixel of the display window and the value, for every sample inside it.
+    fn each(&self, samples: &FlatSamples, mut set: impl FnMut(usize, f32)) {
+        let mut values = samples.values_as_f32();
+        for y in 0..self.data_height {
+            let row = y as i64 + self.offset.1;
+            for x in 0..self.data_width {
+                let Some(value) = values.next() else { return };
+                let column = x as i64 + self.offset.0;
+                if (0..self.size.1 as i64).contains(&row)
+                    && (0..self.size.0 as i64).contains(&column)
+                {
+                    set(row as usize * self.size.0 + column as usize, value);
+                }
+            }
+        }
+    }
+}
+
+/// Decoder of a file that is not EXR, with limits on what its header may ask for.
+fn common_decoder<'a>(
+    path: &Path,
+    bytes: &'a [u8],
+) -> Result<impl ImageDecoder + 'a, CaptureError> {
+    const KNOWN: &str = "use EXR, Radiance HDR, TIFF, PNG or JPEG";
+    let mut reader = ImageReader::new(Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
+    if reader.format().is_none() {
+        return Err(broken(path, "its format is not known", KNOWN));
+    }
+    let mut limits = image::Limits::default();
+    limits.max_alloc = Some(MAX_PIXELS * 16);
+    reader.limits(limits);
+    reader.into_decoder().map_err(|error| {
+        let advice = if matches!(error, image::ImageError::Unsupported(_)) {
+            KNOWN
+        } else {
+            COPY_AGAIN
+        };
+        broken(path, error.to_string(), advice)
+    })
+}
+
+fn read_common(
+    path: &Path,
+    bytes: &[u8],
+    check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
+) -> Result<Picture, CaptureError> {
+    let decoder = common_decoder(path, bytes)?;
+    let (width, height) = decoder.dimensions();
+    check_pixels(path, u64::from(width), u64::from(height))?;
+    check_size((width, height))?;
+    let image = DynamicImage::from_decoder(decoder)
+        .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
+    let has_alpha = image.color().has_alpha();
+    let jpeg = bytes.starts_with(&[0xff, 0xd8]);
+    let (encoding, pixels, saturated) = decode(image, jpeg);
+    let alpha = has_alpha.then(|| pixels.iter().map(|p| p[3]).collect());
+    let rgb = pixels
+        .iter()
+        .map(|&[r, g, b, a]| [r * a, g * a, b * a])
+        .collect();
+    Ok(Picture {
+        width,
+        height,
+        rgb,
+        alpha,
+        saturated,
+        encoding,
+    })
+}
+
+/// Linear straight RGBA and saturation of every pixel.
+fn decode(image: DynamicImage, jpeg: bool) -> (Encoding, Vec<[f32; 4]>, Vec<bool>) {
+    use image::ColorType as C;
+    let clipped = |[r, g, b, _]: [u32; 4], full: u32| r.max(g).max(b) >= full;
+    match image.color() {
+        C::L8 | C::La8 | C::Rgb8 | C::Rgba8 => {
+            let table: Vec<f32> = (0..=255)
+                .map(|code| srgb_to_linear(code as f32 / 255.0))
+                .collect();
+            // JPEG's quantisation moves clipped pixels down by a code or so.
+            let full = if jpeg { 253 } else { 255 };
+            let (pixels, saturated) = image
+                .into_rgba8()
+                .pixels()
+                .map(|p| {
+                    let [r, g, b] = [0, 1, 2].map(|c| table[usize::from(p.0[c])]);
+                    let pixel = [r, g, b, f32::from(p.0[3]) / 255.0];
+                    (pixel, clipped(p.0.map(u32::from), full))
+                })
+                .unzip();
+            (Encoding::Srgb8, pixels, saturated)
+        }
+        C::L16 | C::La16 | C::Rgb16 | C::Rgba16 => {
+            let (pixels, saturated) = image
+                .into_rgba16()
+                .pixels()
+                .map(|p| {
+                    let pixel = p.0.map(|value| f32::from(value) / 65_535.0);
+                    (pixel, clipped(p.0.map(u32::from), 65_535))
+                })
+                .unzip();
+            (Encoding::Linear16, pixels, saturated)
+        }
+        _ => {
+            let pixels: Vec<[f32; 4]> = image.into_rgba32f().pixels().map(|p| p.0).collect();
+            let saturated = vec![false; pixels.len()];
+            (Encoding::Float, pixels, saturated)
+        }
+    }
+}
+
+/// The sRGB decoding curve on [0, 1] (IEC 61966-2-1).
+fn srgb_to_linear(code: f32) -> f32 {
+    if code <= 0.040_45 {
+        code / 12.92
+    } else {
+        ((code + 0.055) / 1.055).powf(2.4)
+    }
+}
