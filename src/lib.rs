@@ -1,3 +1,5 @@
 //! rekindle relights a captured object.
 
 pub mod capture;
+pub mod hemisphere;
+pub mod surface;

@@ -1,0 +1,5 @@
+//! The lighting: radiances on the nodes of a geodesic hemisphere.
+
+mod grid;
+
+pub use grid::HemisphereGrid;

@@ -1,0 +1,306 @@
+//! Which part of the surface does a ray meet: ray casts against the mesh through a bounding volume hierarchy.
+//!
+//! Inside, the object is moved and scaled into a box of half diagonal 1 about the origin, so that every tolerance
+//! is relative to the object's size whatever the mesh's unit is.
+
+use glam::{Vec2, Vec3, Vec3A};
+use obvhs::BvhBuildParams;
+use obvhs::aabb::Aabb;
+use obvhs::bvh2::Bvh2;
+use obvhs::bvh2::builder::build_bvh2;
+use obvhs::ray::{Ray, RayHit};
+use rayon::prelude::*;
+use std::time::Duration;
+
+use crate::capture::Mesh;
+
+/// Growth of every triangle's box, as a fraction of the object's half diagonal: a flat box would be missed by rounding.
+const BOX_MARGIN: f32 = 1e-6;
+/// How far outside a triangle, in barycentric units, a ray still hits it: neighbours must not leave a crack.
+const EDGE_TOLERANCE: f32 = 1e-6;
+/// Distance by which a ray's origin is lifted off the surface, as a fraction of the object's half diagonal: some
+/// hundred times the rounding error of a position, and far below a pixel's footprint.
+const ORIGIN_LIFT: f32 = 2e-5;
+
+/// Where a ray first meets the surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Hit {
+    /// Index of the triangle.
+    pub triangle: u32,
+    /// Weights of the triangle's second and third corner.
+    pub barycentric: Vec2,
+    /// Distance along the unit direction, in mesh units.
+    pub distance: f32,
+}
+
+/// One triangle as the traversal reads it: a corner and the two edges from it.
+#[derive(Clone, Copy, Debug)]
+struct Leaf {
+    corner: Vec3,
+    edge1: Vec3,
+    edge2: Vec3,
+    triangle: u32,
+}
+
+/// The mesh prepared for ray casts.
+pub struct Occluder {
+    bvh: Bvh2,
+    /// In the order of the hierarchy's leaves.
+    leaves: Vec<Leaf>,
+    centre: Vec3,
+    /// Mesh units per internal unit.
+    scale: f32,
+}
+
+impl Leaf {
+    /// Distance and barycentric weights where the ray meets the triangle's front or back (Möller and Trumbore 1997).
+    #[inline]
+    fn meet(&self, origin: Vec3, direction: Vec3) -> Option<(f32, f32, f32)> {
+        let p = direction.cross(self.edge2);
+        let det = self.edge1.dot(p);
+        if det == 0.0 {
+            return None;
+        }
+        let inverse = 1.0 / det;
+        let from_corner = origin - self.corner;
+        let b1 = from_corner.dot(p) * inverse;
+        let q = from_corner.cross(self.edge1);
+        let b2 = direction.dot(q) * inverse;
+        let inside =
+            b1 >= -EDGE_TOLERANCE && b2 >= -EDGE_TOLERANCE && b1 + b2 <= 1.0 + EDGE_TOLERANCE;
+        // Not `inside` also where a weight is NaN: a sliver seen edge-on.
+        inside.then(|| (self.edge2.dot(q) * inverse, b1, b2))
+    }
+}
+
+impl Occluder {
+    /// Builds the hierarchy over all triangles of `mesh`.
+    pub fn new(mesh: &Mesh) -> Self {
+        let (low, high) = mesh.bounds();
+        let centre = (low + high) * 0.5;
+        let half = (high - low).length() * 0.5;
+        let scale = if half.is_finite() && half > 0.0 {
+            half
+        } else {
+            1.0
+        };
+        let inside = |p: Vec3| (p - centre) / scale;
+        let boxes: Vec<Aabb> = (0..mesh.triangles.len())
+            .into_par_iter()
+            .map(|t| {
+                let [a, b, c] = mesh.corners(t as u32).map(|p| Vec3A::from(inside(p)));
+                Aabb {
+                    min: a.min(b).min(c) - BOX_MARGIN,
+                    max: a.max(b).max(c) + BOX_MARGIN,
+                }
+            })
+            .collect();
+        // A million triangles are built in under a second at this setting; small meshes get the better tree.
+        let parameters = if boxes.len() > 400_000 {
+            BvhBuildParams::fast_build()
+        } else {
+            BvhBuildParams::medium_build()
+        };
+        let mut bvh = build_bvh2(&boxes, parameters, &mut Duration::default());
+        if !bvh.nodes.is_empty() {
+            // The traversal's stack has room for 96 unless told otherwise, and panics beyond.
+            bvh.max_depth = bvh.max_depth.max(bvh.depth(0) + 2);
+        }
+        let leaves = bvh
+            .primitive_indices
+            .iter()
+            .map(|&triangle| {
+                let [a, b, c] = mesh.corners(triangle).map(inside);
+                Leaf {
+                    corner: a,
+                    edge1: b - a,
+                    edge2: c - a,
+                    triangle,
+                }
+            })
+            .collect();
+        Self {
+            bvh,
+            leaves,
+            centre,
+            scale,
+        }
+    }
+
+    /// Whether anything lies between `origin` and `max_distance` (mesh units, may be infinite) along the unit `direction`.
+    pub fn occluded(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> bool {
+        let from = (origin - self.centre) / self.scale;
+        let reach = max_distance / self.scale;
+        if !from.is_finite() || !direction.is_finite() {
+            return false;
+        }
+        let ray = Ray::new(from.into(), direction.into(), 0.0, reach);
+        !self.bvh.ray_traverse_miss(ray, |_, leaf| {
+            match self.leaves[leaf].meet(from, direction) {
+                Some((t, ..)) if t > 0.0 => t,
+                _ => f32::INFINITY,
+            }
+        })
+    }
+
+    /// The first point of the surface, front or back, along the unit `direction`.
+    pub fn hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
+        let from = (origin - self.centre) / self.scale;
+        if !from.is_finite() || !direction.is_finite() {
+            return None;
+        }
+        let ray = Ray::new_inf(from.into(), direction.into());
+        let mut nearest: Option<Hit> = None;
+        let mut distance = f32::INFINITY;
+        self.bvh.ray_traverse(ray, &mut RayHit::none(), |_, index| {
+            let leaf = &self.leaves[index];
+            let Some((t, b1, b2)) = leaf.meet(from, direction) else {
+                return f32::INFINITY;
+            };
+            if t <= 0.0 {
+                return f32::INFINITY;
+            }
+            // Of two at one distance the lower index, so that the tree's shape does not show.
+            let nearer = t < distance
+                || (t == distance && nearest.is_none_or(|hit| leaf.triangle < hit.triangle));
+            if nearer {
+                distance = t;
+                nearest = Some(Hit {
+                    triangle: leaf.triangle,
+                    barycentric: Vec2::new(b1, b2),
+                    distance: t * self.scale,
+                });
+            }
+            t
+        });
+        nearest
+    }
+
+    /// `position` lifted off the surface along `normal` (unit, on the side the ray leaves to), far enough that a ray
+    /// from there does not meet the triangle it starts on.
+    pub fn offset_origin(&self, position: Vec3, normal: Vec3) -> Vec3 {
+        position + normal * (ORIGIN_LIFT * self.scale)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::fixtures::bumpy_sphere;
+
+    /// The nearest intersection by trying every triangle in double precision.
+    fn brute_force(mesh: &Mesh, origin: Vec3, direction: Vec3) -> Option<(u32, f64)> {
+        let (o, d) = (origin.as_dvec3(), direction.as_dvec3());
+        (0..mesh.triangles.len() as u32)
+            .filter_map(|t| {
+                let [a, b, c] = mesh.corners(t).map(|p| p.as_dvec3() - o);
+                let weights = [b.cross(c).dot(d), c.cross(a).dot(d), a.cross(b).dot(d)];
+                let sum: f64 = weights.iter().sum();
+                let inside = weights.iter().all(|w| w / sum >= 0.0);
+                let distance = a.dot(b.cross(c)) / sum;
+                (inside && distance > 0.0).then_some((t, distance))
+            })
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    fn rays(count: usize) -> impl Iterator<Item = (Vec3, Vec3)> {
+        (0..count).map(|i| {
+            let k = i as f32;
+            let origin = 3.0 * Vec3::new((k * 0.7).sin(), (k * 1.3).cos(), (k * 0.31).sin());
+            let target = 0.9 * Vec3::new((k * 2.1).cos(), (k * 0.9).sin(), (k * 1.7).cos());
+            (origin, (target - origin).normalize_or_zero())
+        })
+    }
+
+    #[test]
+    fn finds_the_nearest_triangle_at_any_scale_and_place() {
+        for (scale, offset) in [
+            (1.0, Vec3::ZERO),
+            (1e-6, Vec3::ZERO),
+            (1e5, Vec3::new(2e5, -1e5, 0.0)),
+        ] {
+            let mut mesh = bumpy_sphere(24, 0.2);
+            for p in &mut mesh.positions {
+                *p = *p * scale + offset;
+            }
+            let occluder = Occluder::new(&mesh);
+            let mut hits = 0;
+            for (origin, direction) in rays(2000) {
+                let origin = origin * scale + offset;
+                let expected = brute_force(&mesh, origin, direction);
+                let found = occluder.hit(origin, direction);
+                if let (Some((_, distance)), Some(hit)) = (expected, found) {
+                    assert!(
+                        (distance - f64::from(hit.distance)).abs()
+                            < 1e-4 * distance + 1e-6 * f64::from(scale.max(offset.length())),
+                        "{distance} against {}",
+                        hit.distance
+                    );
+                    let there = mesh.point(hit.triangle, hit.barycentric).position;
+                    let error = (origin + direction * hit.distance - there).length();
+                    assert!(error < 1e-4 * scale.max(offset.length()), "off by {error}");
+                    assert!(
+                        occluder.occluded(origin, direction, f32::INFINITY),
+                        "any hit"
+                    );
+                    assert!(
+                        !occluder.occluded(origin, direction, hit.distance * 0.999),
+                        "before it"
+                    );
+                    hits += 1;
+                } else {
+                    assert_eq!(
+                        expected.is_some(),
+                        found.is_some(),
+                        "from {origin} along {direction}"
+                    );
+                }
+            }
+            assert!(hits > 1000, "{hits} of the rays meet the object");
+        }
+    }
+
+    #[test]
+    fn a_ray_that_leaves_the_surface_does_not_meet_where_it_starts() {
+        let mesh = bumpy_sphere(64, 0.0);
+        let occluder = Occluder::new(&mesh);
+        for t in 0..mesh.triangles.len() as u32 {
+            for barycentric in [Vec2::splat(0.33), Vec2::new(0.5, 0.5), Vec2::ZERO] {
+                let point = mesh.point(t, barycentric);
+                let normal = mesh.face_normal(t);
+                let origin = occluder.offset_origin(point.position, normal);
+                assert!(
+                    !occluder.occluded(origin, normal, f32::INFINITY),
+                    "triangle {t}"
+                );
+                assert!(
+                    occluder.occluded(origin, -normal, f32::INFINITY),
+                    "triangle {t}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn empty_degenerate_and_repeated_triangles_do_no_harm() {
+        let empty = Occluder::new(&Mesh::default());
+        assert!(empty.hit(Vec3::ZERO, Vec3::Z).is_none());
+        let mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+            normals: vec![Vec3::Z; 3],
+            uvs: Vec::new(),
+            triangles: [[0, 0, 0], [0, 1, 1], [0, 1, 2]].repeat(5000),
+        };
+        let occluder = Occluder::new(&mesh);
+        let hit = occluder.hit(Vec3::new(0.2, 0.2, 1.0), Vec3::NEG_Z).unwrap();
+        assert_eq!(hit.triangle, 2);
+        assert!(occluder.hit(Vec3::splat(f32::NAN), Vec3::NEG_Z).is_none());
+        let flat = Mesh {
+            positions: vec![Vec3::ONE; 3],
+            normals: vec![Vec3::Z; 3],
+            uvs: Vec::new(),
+            triangles: vec![[0, 1, 2]],
+        };
+        assert!(Occluder::new(&flat).hit(Vec3::ZERO, Vec3::Z).is_none());
+    }
+}

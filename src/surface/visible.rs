@@ -1,0 +1,545 @@
+//! What each pixel of a view shows: the front-most triangle at its centre and its depth.
+//!
+//! The triangles are rasterised in homogeneous coordinates (Olano and Greer 1997): with d the ray through a pixel
+//! centre, scaled to unit depth, and c₀ c₁ c₂ the corners in camera space, the edge functions eᵢ = (cⱼ × cₖ) · d are
+//! linear in the pixel's coordinates, the barycentric weights are eᵢ / Σ e and the depth det[c₀ c₁ c₂] / Σ e. Nothing is
+//! divided by a corner's depth, so triangles that reach behind the camera need no clipping, and two triangles that share
+//! an edge compute the same numbers for it and leave no crack. Where the lens distorts, straight edges do not stay
+//! straight and each pixel casts a ray instead.
+
+use glam::{DVec2, DVec3, Vec2};
+use rayon::prelude::*;
+
+use super::bvh::Occluder;
+use crate::capture::{Camera, Mesh, SurfacePoint};
+
+/// Marks a pixel that shows no triangle.
+pub const NO_TRIANGLE: u32 = u32::MAX;
+
+/// Rows that one task rasterises.
+const BAND_ROWS: u32 = 32;
+/// Depths below this fraction of the object's size do not exist: the surface would touch the lens.
+const NEAR: f64 = 1e-6;
+
+/// The surface as one view sees it, row by row from the top.
+#[derive(Clone, Debug)]
+pub struct ViewSurface {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Front-most triangle at each pixel's centre, from whichever side, or [`NO_TRIANGLE`].
+    pub triangle: Vec<u32>,
+    /// Its distance along the camera's axis (−z in camera space), in mesh units; +∞ where there is none.
+    pub depth: Vec<f32>,
+    /// Whether the 3×3 pixels about it show one piece of surface: no silhouette, no jump in depth.
+    pub interior: Vec<bool>,
+    /// Whether the surface runs on without a jump to the pixel on the right and to the pixel below.
+    joined: Vec<[bool; 2]>,
+}
+
+/// A triangle ready to be rasterised: the edge functions' coefficients and the bounding box of its pixels.
+struct Setup {
+    triangle: u32,
+    /// Edge function i is `edges[i] · (x, y, 1)` in pixel coordinates, all signs such that inside is positive.
+    edges: [DVec3; 3],
+    /// |det[c₀ c₁ c₂]|.
+    volume: f64,
+    columns: (u32, u32),
+    rows: (u32, u32),
+}
+
+/// Rays of unit depth for pixel coordinates, in camera space, for a pinhole.
+fn unit_depth_ray(camera: &Camera, pixel: DVec2) -> DVec3 {
+    let u = camera
+        .distortion
+        .remove((pixel - camera.centre) / camera.focal);
+    DVec3::new(u.x, -u.y, -1.0)
+}
+
+/// Centre of a pixel in pixel coordinates.
+fn pixel_centre(x: u32, y: u32) -> DVec2 {
+    DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)
+}
+
+/// First and one past the last pixel whose centres lie between two coordinates, within an image of `size` pixels.
+fn centres_between(low: f64, high: f64, size: u32) -> (u32, u32) {
+    let first = (low - 0.5).ceil().clamp(0.0, f64::from(size)) as u32;
+    let last = ((high - 0.5).floor() + 1.0).clamp(0.0, f64::from(size)) as u32;
+    (first, last)
+}
+
+impl Setup {
+    fn new(triangle: u32, corners: [DVec3; 3], camera: &Camera, near: f64) -> Option<Self> {
+        let [a, b, c] = corners;
+        if corners.iter().all(|p| -p.z <= near) {
+            return None;
+        }
+        let (columns, rows) = if corners.iter().all(|p| -p.z > near) {
+            let seen = corners.map(|p| DVec2::new(p.x, -p.y) / -p.z * camera.focal + camera.centre);
+            let low = seen[0].min(seen[1]).min(seen[2]);
+            let high = seen[0].max(seen[1]).max(seen[2]);
+            (
+                centres_between(low.x, high.x, camera.width),
+                centres_between(low.y, high.y, camera.height),
+            )
+        } else {
+            ((0, camera.width), (0, camera.height))
+        };
+        if columns.0 >= columns.1 || rows.0 >= rows.1 {
+            return None;
+        }
+        let normals = [b.cross(c), c.cross(a), a.cross(b)];
+        let volume = a.dot(normals[0]);
+        if volume == 0.0 || !volume.is_finite() {
+            return None;
+        }
+        // e = n · d with d = ((x − cx)/fx, −(y − cy)/fy, −1).
+        let edges = normals.map(|n| {
+            let n = n * volume.signum();
+            let along_x = n.x / camera.focal.x;
+            let along_y = -n.y / camera.focal.y;
+            DVec3::new(
+                along_x,
+                along_y,
+                -n.z - along_x * camera.centre.x - along_y * camera.centre.y,
+            )
+        });
+        Some(Self {
+            triangle,
+            edges,
+            volume: volume.abs(),
+            columns,
+            rows,
+        })
+    }
+
+    /// Draws the part of the triangle that falls into rows `first_row..` of a band.
+    fn draw(
+        &self,
+        width: usize,
+        first_row: u32,
+        near: f64,
+        triangle: &mut [u32],
+        depth: &mut [f32],
+    ) {
+        let band_rows = (triangle.len() / width) as u32;
+        let rows = self.rows.0.max(first_row)..self.rows.1.min(first_row + band_rows);
+        for y in rows {
+            let start = (y - first_row) as usize * width;
+            let row = DVec3::new(0.5, f64::from(y) + 0.5, 1.0);
+            let [e0, e1, e2] = self.edges.map(|e| e.dot(row));
+            for x in self.columns.0..self.columns.1 {
+                let step = f64::from(x);
+                let w0 = e0 + step * self.edges[0].x;
+                let w1 = e1 + step * self.edges[1].x;
+                let w2 = e2 + step * self.edges[2].x;
+                if w0 < 0.0 || w1 < 0.0 || w2 < 0.0 {
+                    continue;
+                }
+                let z = self.volume / (w0 + w1 + w2);
+                if !(z > near && z.is_finite()) {
+                    continue;
+                }
+                let pixel = start + x as usize;
+                let z = z as f32;
+                // Of two at one depth the lower index wins, whatever the order of drawing.
+                if z < depth[pixel] || (z == depth[pixel] && self.triangle < triangle[pixel]) {
+                    depth[pixel] = z;
+                    triangle[pixel] = self.triangle;
+                }
+            }
+        }
+    }
+}
+
+/// Front-most triangle and depth per pixel of a pinhole camera.
+fn rasterise(mesh: &Mesh, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
+    let corners: Vec<DVec3> = mesh
+        .positions
+        .par_iter()
+        .map(|p| camera.to_camera(p.as_dvec3()))
+        .collect();
+    let near = NEAR * f64::from(mesh.diagonal());
+    let setups: Vec<Setup> = mesh
+        .triangles
+        .par_iter()
+        .enumerate()
+        .filter_map(|(t, vertices)| {
+            Setup::new(
+                t as u32,
+                vertices.map(|v| corners[v as usize]),
+                camera,
+                near,
+            )
+        })
+        .collect();
+    let width = camera.width as usize;
+    let pixels = width * camera.height as usize;
+    let mut triangle = vec![NO_TRIANGLE; pixels];
+    let mut depth = vec![f32::INFINITY; pixels];
+    let band = width * BAND_ROWS as usize;
+    if band > 0 {
+        triangle
+            .par_chunks_mut(band)
+            .zip(depth.par_chunks_mut(band))
+            .enumerate()
+            .for_each(|(index, (triangle, depth))| {
+                let first_row = index as u32 * BAND_ROWS;
+                let last_row = first_row + BAND_ROWS;
+                for setup in &setups {
+                    if setup.rows.0 < last_row && setup.rows.1 > first_row {
+                        setup.draw(width, first_row, near, triangle, depth);
+                    }
+                }
+            });
+    }
+    (triangle, depth)
+}
+
+/// Front-most triangle and depth per pixel of any camera, by one ray each.
+fn cast(occluder: &Occluder, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
+    let origin = camera.position().as_vec3();
+    let forward = camera.forward();
+    let width = camera.width as usize;
+    (0..width * camera.height as usize)
+        .into_par_iter()
+        .map(|pixel| {
+            let centre = pixel_centre((pixel % width) as u32, (pixel / width) as u32);
+            let direction = camera.ray(centre);
+            match occluder.hit(origin, direction.as_vec3()) {
+                Some(hit) => (
+                    hit.triangle,
+                    (f64::from(hit.distance) * direction.dot(forward)) as f32,
+                ),
+                None => (NO_TRIANGLE, f32::INFINITY),
+            }
+        })
+        .unzip()
+}
+
+impl ViewSurface {
+    /// What `camera` sees of `mesh`; `occluder` is the same mesh's.
+    pub fn new(mesh: &Mesh, occluder: &Occluder, camera: &Camera) -> Self {
+        let (triangle, depth) = if camera.distortion.is_none() {
+            rasterise(mesh, camera)
+        } else {
+            cast(occluder, camera)
+        };
+        let mut surface = Self {
+            width: camera.width,
+            height: camera.height,
+            triangle,
+            depth,
+            interior: Vec::new(),
+            joined: Vec::new(),
+        };
+        surface.join(mesh, camera);
+        surface
+    }
+
+    /// Finds the jumps in depth. The plane of each pixel's triangle is extended to its neighbour: the surface runs on if
+    /// either extension comes within a pixel's footprint of the neighbour's depth, allowing for curvature in
+    /// proportion to the slope.
+    fn join(&mut self, mesh: &Mesh, camera: &Camera) {
+        let width = self.width as usize;
+        let pixels = self.triangle.len();
+        let footprint = 1.0 / camera.focal.min_element();
+        let rays: Vec<DVec3> = (0..pixels)
+            .into_par_iter()
+            .map(|p| unit_depth_ray(camera, pixel_centre((p % width) as u32, (p / width) as u32)))
+            .collect();
+        // Inverse depth on a triangle's plane is linear in the ray: 1/z = g · d.
+        let planes: Vec<DVec3> = self
+            .triangle
+            .par_iter()
+            .zip(&self.depth)
+            .zip(&rays)
+            .map(|((&t, &z), ray)| {
+                if t == NO_TRIANGLE {
+                    return DVec3::ZERO;
+                }
+                let [a, b, c] = mesh.corners(t).map(|p| p.as_dvec3());
+                let normal = camera
+                    .world_from_camera
+                    .matrix3
+                    .transpose()
+                    .mul_vec3((b - a).cross(c - a));
+                normal / (normal.dot(*ray) * f64::from(z))
+            })
+            .collect();
+        let runs_on = |p: usize, q: usize| {
+            let (tp, tq) = (self.triangle[p], self.triangle[q]);
+            if tp == NO_TRIANGLE || tq == NO_TRIANGLE {
+                return false;
+            }
+            if tp == tq {
+                return true;
+            }
+            let (zp, zq) = (f64::from(self.depth[p]), f64::from(self.depth[q]));
+            let zp_at_q = 1.0 / planes[p].dot(rays[q]);
+            let zq_at_p = 1.0 / planes[q].dot(rays[p]);
+            let gap = (zp_at_q - zq).abs().min((zq_at_p - zp).abs());
+            let slope = (zp_at_q - zp).abs().max((zq_at_p - zq).abs());
+            gap <= footprint * zp.min(zq) + 0.25 * slope.min((zp - zq).abs())
+        };
+        let joined: Vec<[bool; 2]> = (0..pixels)
+            .into_par_iter()
+            .map(|p| {
+                [
+                    (p + 1) % width != 0 && runs_on(p, p + 1),
+                    p + width < pixels && runs_on(p, p + width),
+                ]
+            })
+            .collect();
+        self.interior = (0..pixels)
+            .into_par_iter()
+            .map(|p| {
+                let (x, y) = (p % width, p / width);
+                if x == 0 || y == 0 || x + 1 == width || y + 1 == self.height as usize {
+                    return false;
+                }
+                let rows = [p - width, p, p + width];
+                rows.iter().all(|&r| joined[r - 1][0] && joined[r][0])
+                    && rows[..2]
+                        .iter()
+                        .all(|&r| joined[r - 1][1] && joined[r][1] && joined[r + 1][1])
+            })
+            .collect();
+        self.joined = joined;
+    }
+
+    /// Weights of the second and third corner of the pixel's triangle where the ray through the pixel's centre meets its
+    /// plane, `None` where the pixel shows nothing.
+    pub fn barycentric(&self, mesh: &Mesh, camera: &Camera, x: u32, y: u32) -> Option<Vec2> {
+        let t = self.triangle[y as usize * self.width as usize + x as usize];
+        if t == NO_TRIANGLE {
+            return None;
+        }
+        let ray = unit_depth_ray(camera, pixel_centre(x, y));
+        let [a, b, c] = mesh.corners(t).map(|p| camera.to_camera(p.as_dvec3()));
+        let weights = DVec3::new(
+            b.cross(c).dot(ray),
+            c.cross(a).dot(ray),
+            a.cross(b).dot(ray),
+        );
+        let sum = weights.element_sum();
+        let barycentric = DVec2::new(weights.y, weights.z) / sum;
+        barycentric.is_finite().then(|| barycentric.as_vec2())
+    }
+
+    /// The surface point that the pixel's centre shows.
+    pub fn point(&self, mesh: &Mesh, camera: &Camera, x: u32, y: u32) -> Option<SurfacePoint> {
+        let barycentric = self.barycentric(mesh, camera, x, y)?;
+        let t = self.triangle[y as usize * self.width as usize + x as usize];
+        Some(mesh.point(t, barycentric))
+    }
+
+    /// Where the view shows the world point `position`, in pixel coordinates: `None` unless it is the front-most surface
+    /// there and the four pixels that a bilinear look-up reads show one piece of surface.
+    pub fn sees(&self, camera: &Camera, position: glam::Vec3) -> Option<DVec2> {
+        let world = position.as_dvec3();
+        let at = camera.project(world)?;
+        let corner = at - 0.5;
+        let (x, y) = (corner.x.floor(), corner.y.floor());
+        if !(x >= 0.0
+            && y >= 0.0
+            && x + 1.0 < f64::from(self.width)
+            && y + 1.0 < f64::from(self.height))
+        {
+            return None;
+        }
+        let width = self.width as usize;
+        let p = y as usize * width + x as usize;
+        let one_piece = self.joined[p][0]
+            && self.joined[p][1]
+            && self.joined[p + 1][1]
+            && self.joined[p + width][0];
+        if !one_piece {
+            return None;
+        }
+        let z = -camera.to_camera(world).z;
+        let depths = [p, p + 1, p + width, p + width + 1].map(|q| f64::from(self.depth[q]));
+        let (fx, fy) = (corner.x - x, corner.y - y);
+        // Inverse depth is linear across a plane's image.
+        let top = (1.0 - fx) / depths[0] + fx / depths[1];
+        let bottom = (1.0 - fx) / depths[2] + fx / depths[3];
+        let seen = 1.0 / ((1.0 - fy) * top + fy * bottom);
+        let (low, high) = depths
+            .iter()
+            .fold((f64::INFINITY, 0.0_f64), |(l, h), &d| (l.min(d), h.max(d)));
+        let tolerance = z / camera.focal.min_element() + 0.5 * (high - low);
+        ((z - seen).abs() <= tolerance).then_some(at)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::Distortion;
+    use crate::surface::fixtures::{bumpy_sphere, camera};
+    use glam::Vec3;
+
+    fn from_the_front() -> Camera {
+        camera(DVec3::new(0.5, 1.0, 4.0), DVec3::ZERO, 320, 240, 1.5)
+    }
+
+    #[test]
+    fn the_rasteriser_agrees_with_ray_casts() {
+        let mesh = bumpy_sphere(100, 0.15);
+        let occluder = Occluder::new(&mesh);
+        let camera = from_the_front();
+        let (triangle, depth) = rasterise(&mesh, &camera);
+        let (cast_triangle, cast_depth) = cast(&occluder, &camera);
+        let object = cast_triangle.iter().filter(|&&t| t != NO_TRIANGLE).count();
+        let same = (0..triangle.len())
+            .filter(|&p| triangle[p] == cast_triangle[p])
+            .count();
+        assert!(object > 20_000, "{object} pixels");
+        assert!(
+            same as f64 >= 0.9995 * triangle.len() as f64,
+            "{same} of {}",
+            triangle.len()
+        );
+        // A ray in single precision slides along a grazing surface.
+        let off = |tolerance: f32| {
+            (0..triangle.len())
+                .filter(|&p| triangle[p] == cast_triangle[p] && triangle[p] != NO_TRIANGLE)
+                .filter(|&p| (depth[p] - cast_depth[p]).abs() > tolerance * depth[p])
+                .count()
+        };
+        assert!(off(1e-5) < object / 1000, "{} depths differ", off(1e-5));
+        assert_eq!(off(1e-3), 0);
+    }
+
+    #[test]
+    fn a_triangle_that_reaches_behind_the_camera_is_drawn_where_it_is() {
+        // A floor under the camera, from far ahead to far behind.
+        let mesh = Mesh {
+            positions: vec![
+                Vec3::new(-100.0, -1.0, 100.0),
+                Vec3::new(100.0, -1.0, 100.0),
+                Vec3::new(0.0, -1.0, -100.0),
+            ],
+            normals: vec![Vec3::Y; 3],
+            uvs: Vec::new(),
+            triangles: vec![[0, 1, 2]],
+        };
+        let occluder = Occluder::new(&mesh);
+        let camera = camera(DVec3::ZERO, DVec3::NEG_Z, 64, 64, 1.0);
+        let (triangle, _) = rasterise(&mesh, &camera);
+        let (cast_triangle, _) = cast(&occluder, &camera);
+        assert_eq!(triangle, cast_triangle);
+        assert!(triangle.contains(&0) && triangle.contains(&NO_TRIANGLE));
+    }
+
+    #[test]
+    fn a_distorting_lens_moves_the_picture() {
+        let mesh = bumpy_sphere(60, 0.1);
+        let occluder = Occluder::new(&mesh);
+        let mut camera = from_the_front();
+        camera.distortion = Distortion {
+            k: [-0.3, 0.1, 0.0, 0.0],
+            p: [0.001, 0.002],
+        };
+        let surface = ViewSurface::new(&mesh, &occluder, &camera);
+        let mut seen = 0;
+        for y in (0..240).step_by(7) {
+            for x in (0..320).step_by(7) {
+                if let Some(point) = surface.point(&mesh, &camera, x, y) {
+                    let at = camera.project(point.position.as_dvec3()).unwrap();
+                    assert!(
+                        at.distance(pixel_centre(x, y)) < 1e-2,
+                        "pixel {x}, {y} at {at}"
+                    );
+                    seen += 1;
+                }
+            }
+        }
+        assert!(seen > 400, "{seen} pixels");
+    }
+
+    #[test]
+    fn interior_pixels_see_their_own_points_and_no_silhouettes() {
+        let mesh = bumpy_sphere(100, 0.15);
+        let occluder = Occluder::new(&mesh);
+        let camera = from_the_front();
+        let surface = ViewSurface::new(&mesh, &occluder, &camera);
+        let (mut object, mut interior) = (0, 0);
+        for y in 0..240 {
+            for x in 0..320 {
+                let p = (y * 320 + x) as usize;
+                object += usize::from(surface.triangle[p] != NO_TRIANGLE);
+                if !surface.interior[p] {
+                    continue;
+                }
+                interior += 1;
+                let point = surface.point(&mesh, &camera, x, y).unwrap();
+                let at = surface.sees(&camera, point.position);
+                assert!(
+                    at.is_some_and(|at| at.distance(pixel_centre(x, y)) < 1e-2),
+                    "pixel {x}, {y}"
+                );
+                let behind = camera.position().as_vec3().lerp(point.position, 1.1);
+                assert!(
+                    surface.sees(&camera, behind).is_none(),
+                    "behind pixel {x}, {y}"
+                );
+                let before = camera.position().as_vec3().lerp(point.position, 0.95);
+                assert!(
+                    surface.sees(&camera, before).is_none(),
+                    "before pixel {x}, {y}"
+                );
+                for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1), (1, 1), (-1, -1)] {
+                    let q = (y as i32 + dy) * 320 + x as i32 + dx;
+                    assert!(
+                        surface.triangle[q as usize] != NO_TRIANGLE,
+                        "silhouette at {x}, {y}"
+                    );
+                }
+            }
+        }
+        assert!(interior > object * 9 / 10, "{interior} of {object}");
+    }
+
+    #[test]
+    fn a_jump_in_depth_is_not_interior() {
+        // A small square half a unit before a large one.
+        let square = |half: f32, z: f32| {
+            [(-half, -half), (half, -half), (half, half), (-half, half)]
+                .map(|(x, y)| Vec3::new(x, y, z))
+        };
+        let mesh = Mesh {
+            positions: [square(2.0, 0.0), square(0.5, 0.5)].concat(),
+            normals: vec![Vec3::Z; 8],
+            uvs: Vec::new(),
+            triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
+        };
+        let occluder = Occluder::new(&mesh);
+        let camera = camera(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, 100, 100, 1.0);
+        let surface = ViewSurface::new(&mesh, &occluder, &camera);
+        for y in 1..99_usize {
+            for x in 1..99_usize {
+                let fronts = [-1_i32, 0, 1]
+                    .iter()
+                    .flat_map(|dy| [-1_i32, 0, 1].map(|dx| (dx, *dy)))
+                    .filter(|(dx, dy)| {
+                        let q = (y as i32 + dy) * 100 + x as i32 + dx;
+                        surface.triangle[q as usize] >= 2
+                    })
+                    .count();
+                let all_object = (y - 1..=y + 1)
+                    .all(|y| (x - 1..=x + 1).all(|x| surface.triangle[y * 100 + x] != NO_TRIANGLE));
+                if all_object {
+                    assert_eq!(
+                        surface.interior[y * 100 + x],
+                        fronts == 0 || fronts == 9,
+                        "{x}, {y}"
+                    );
+                }
+            }
+        }
+        assert!(surface.sees(&camera, Vec3::new(1.5, 0.0, 0.0)).is_some());
+        assert!(surface.sees(&camera, Vec3::ZERO).is_none());
+    }
+}
