@@ -70,6 +70,18 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, CaptureError> 
         .collect()
 }
 
+/// Reads any image file as linear radiance: width, height and RGB row by row from the top. Values that are not finite
+/// become zero.
+pub fn read_radiance(path: &Path) -> Result<(u32, u32, Vec<[f32; 3]>), CaptureError> {
+    let picture = Picture::read(path, "file", &|_| Ok(()))?;
+    let clean = |p: &[f32; 3]| p.map(|v| if v.is_finite() { v } else { 0.0 });
+    Ok((
+        picture.width,
+        picture.height,
+        picture.rgb.iter().map(clean).collect(),
+    ))
+}
+
 /// The folder's name, also where the path is `.`.
 fn name_of(folder: &Path) -> String {
     let full = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());

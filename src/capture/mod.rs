@@ -14,7 +14,7 @@ mod polygon;
 
 pub use camera::{Camera, Distortion};
 pub use error::CaptureError;
-pub use load::read_cameras;
+pub use load::{read_cameras, read_radiance};
 pub use mesh::{Mesh, SurfacePoint};
 
 use glam::DVec3;

@@ -4,7 +4,7 @@ mod bvh;
 mod visible;
 
 pub use bvh::{Hit, Occluder};
-pub use visible::{NO_TRIANGLE, ViewSurface};
+pub use visible::{NO_TRIANGLE, ViewSurface, barycentric_at, front_most};
 
 #[cfg(test)]
 pub(crate) mod fixtures;

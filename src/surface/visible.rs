@@ -218,14 +218,39 @@ fn cast(occluder: &Occluder, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
         .unzip()
 }
 
+/// Front-most triangle ([`NO_TRIANGLE`] where there is none) and depth at every pixel's centre.
+pub fn front_most(mesh: &Mesh, occluder: &Occluder, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
+    if camera.distortion.is_none() {
+        rasterise(mesh, camera)
+    } else {
+        cast(occluder, camera)
+    }
+}
+
+/// Weights of the second and third corner of `triangle` where the ray through a pixel's centre meets its plane.
+pub fn barycentric_at(
+    mesh: &Mesh,
+    camera: &Camera,
+    triangle: u32,
+    x: u32,
+    y: u32,
+) -> Option<Vec2> {
+    let ray = unit_depth_ray(camera, pixel_centre(x, y));
+    let [a, b, c] = mesh.corners(triangle).map(|p| camera.to_camera(p.as_dvec3()));
+    let weights = DVec3::new(
+        b.cross(c).dot(ray),
+        c.cross(a).dot(ray),
+        a.cross(b).dot(ray),
+    );
+    let sum = weights.element_sum();
+    let barycentric = DVec2::new(weights.y, weights.z) / sum;
+    barycentric.is_finite().then(|| barycentric.as_vec2())
+}
+
 impl ViewSurface {
     /// What `camera` sees of `mesh`; `occluder` is the same mesh's.
     pub fn new(mesh: &Mesh, occluder: &Occluder, camera: &Camera) -> Self {
-        let (triangle, depth) = if camera.distortion.is_none() {
-            rasterise(mesh, camera)
-        } else {
-            cast(occluder, camera)
-        };
+        let (triangle, depth) = front_most(mesh, occluder, camera);
         let mut surface = Self {
             width: camera.width,
             height: camera.height,
@@ -316,16 +341,7 @@ impl ViewSurface {
         if t == NO_TRIANGLE {
             return None;
         }
-        let ray = unit_depth_ray(camera, pixel_centre(x, y));
-        let [a, b, c] = mesh.corners(t).map(|p| camera.to_camera(p.as_dvec3()));
-        let weights = DVec3::new(
-            b.cross(c).dot(ray),
-            c.cross(a).dot(ray),
-            a.cross(b).dot(ray),
-        );
-        let sum = weights.element_sum();
-        let barycentric = DVec2::new(weights.y, weights.z) / sum;
-        barycentric.is_finite().then(|| barycentric.as_vec2())
+        barycentric_at(mesh, camera, t, x, y)
     }
 
     /// The surface point that the pixel's centre shows.
