@@ -13,7 +13,7 @@ pub struct Distortion {
     pub k: [f64; 4],
     /// Tangential coefficients.
     pub p: [f64; 2],
-    /// Coefficients of r², r⁴ and r⁶ in the denominator of the radial factor (FULL_OPENCV's k4, k5 and k6).
+    /// Coefficients of r², r⁴ and r⁶ in the denominator of the radial factor (`FULL_OPENCV`'s k4, k5 and k6).
     pub denominator: [f64; 3],
 }
 
@@ -55,12 +55,26 @@ impl Distortion {
         )
     }
 
+    /// Whether the image still grows outwards at undistorted coordinates `u`. Beyond, a polynomial fitted to the image
+    /// folds back and would put points far outside the field of view into the picture.
+    fn grows_at(&self, u: DVec2) -> bool {
+        let r2 = u.length_squared();
+        let [k1, k2, k3, k4] = self.k;
+        let [k5, k6, k7] = self.denominator;
+        let top = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
+        let bottom = 1.0 + r2 * (k5 + r2 * (k6 + r2 * k7));
+        let top_slope = r2 * (k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + r2 * 4.0 * k4)));
+        let bottom_slope = r2 * (k5 + r2 * (2.0 * k6 + r2 * 3.0 * k7));
+        // d(r·top/bottom)/dr, where d/dr of a polynomial in r² is 2/r times its slope as above.
+        bottom > 0.0 && top * bottom + 2.0 * (top_slope * bottom - top * bottom_slope) > 0.0
+    }
+
     /// Undistorted coordinates of distorted ones, by Newton's method with a numerical Jacobian.
     pub fn remove(&self, d: DVec2) -> DVec2 {
+        const STEP: f64 = 1e-6;
         if self.is_none() {
             return d;
         }
-        const STEP: f64 = 1e-6;
         let mut u = d;
         for _ in 0..20 {
             let f = self.apply(u) - d;
@@ -99,6 +113,7 @@ impl Camera {
     }
 
     /// The same camera with `factor` times as many pixels along each side.
+    #[must_use]
     pub fn supersampled(&self, factor: u32) -> Self {
         let f = f64::from(factor);
         Self {
@@ -115,15 +130,20 @@ impl Camera {
         self.world_from_camera.matrix3.transpose() * (world - self.position())
     }
 
-    /// Pixel coordinates of a world point, `None` where it lies behind the camera.
+    /// Pixel coordinates of a world point, `None` where it lies behind the camera or so far outside the field of
+    /// view that the distortion model no longer applies.
     pub fn project(&self, world: DVec3) -> Option<DVec2> {
         let c = self.to_camera(world);
         let depth = -c.z;
         if depth <= 1e-12 {
             return None;
         }
-        let u = self.distortion.apply(DVec2::new(c.x / depth, -c.y / depth));
-        Some(u * self.focal + self.centre)
+        let u = DVec2::new(c.x / depth, -c.y / depth);
+        if self.distortion.is_none() {
+            return Some(u * self.focal + self.centre);
+        }
+        let grows = self.distortion.grows_at(u);
+        grows.then(|| self.distortion.apply(u) * self.focal + self.centre)
     }
 
     /// Unit direction, in the world, of the ray from the camera's position through a pixel coordinate.

@@ -7,7 +7,7 @@
 //! curve is not done here.
 
 use super::error::CaptureError;
-use super::manifest::Manifest;
+use super::manifest::{Exposure, Manifest};
 use super::picture::{Encoding, Picture};
 use std::path::PathBuf;
 
@@ -25,9 +25,24 @@ pub(super) struct Part {
     pub picture: Picture,
 }
 
-/// Refuses captures in which only some views are bracketed: their radiance scales would differ.
+/// Refuses captures in which only some views are bracketed, or only some exposures state aperture or sensitivity: their
+/// radiance scales would differ.
 pub(super) fn check_scale(manifest: &Manifest) -> Result<(), CaptureError> {
     let bracketed = |i: usize| manifest.frames[i].exposures[0].amount.is_some();
+    let all = || manifest.frames.iter().flat_map(|frame| &frame.exposures);
+    for key in ["f_number", "iso"] {
+        let states = |exposure: &&Exposure| exposure.stated.contains(&key);
+        if let (Some(without), true) = (all().find(|e| !states(e)), all().any(|e| states(&e))) {
+            let (prefix, _) = without.field.rsplit_once('.').unwrap_or(("", ""));
+            return Err(CaptureError::Field {
+                path: manifest.path.clone(),
+                field: format!("{prefix}.{key}"),
+                problem: "is missing while other exposures have it".to_owned(),
+                advice: "state it for all exposures or for none, so that all are on one scale"
+                    .to_owned(),
+            });
+        }
+    }
     let odd = (1..manifest.frames.len()).find(|&i| bracketed(i) != bracketed(0));
     odd.map_or(Ok(()), |i| {
         let single = if bracketed(0) { i } else { 0 };

@@ -32,7 +32,13 @@ impl Capture {
         let mut views = Vec::with_capacity(manifest.frames.len());
         let mut tally = Tally::default();
         for ((frame, parts), mask) in manifest.frames.iter().zip(frames).zip(masks) {
-            views.push(make_view(&manifest, frame, parts?, mask?, &mut tally)?);
+            views.push(make_view(
+                &manifest,
+                frame,
+                parts?,
+                mask?.as_ref(),
+                &mut tally,
+            )?);
         }
         tally.report(&mut warnings);
         let (mesh_path, mesh, mesh_warnings) = mesh?;
@@ -57,12 +63,11 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, CaptureError> 
         .frames
         .iter()
         .map(|frame| {
-            let size = match frame.lens.size {
-                (Some(width), Some(height)) => (width, height),
-                _ => {
-                    let first = &frame.exposures[0];
-                    picture::read_size(&first.path, &first.field)?
-                }
+            let size = if let (Some(width), Some(height)) = frame.lens.size {
+                (width, height)
+            } else {
+                let first = &frame.exposures[0];
+                picture::read_size(&first.path, &first.field)?
             };
             let camera = frame.lens.camera(size, frame.world_from_camera);
             Ok((frame.name.clone(), camera))
@@ -221,7 +226,7 @@ fn make_view(
     manifest: &Manifest,
     frame: &Frame,
     parts: Vec<Part>,
-    mask: Option<Picture>,
+    mask: Option<&Picture>,
     tally: &mut Tally,
 ) -> Result<View, CaptureError> {
     let first = &parts[0];
@@ -235,7 +240,7 @@ fn make_view(
     }
     let picture = exposures::merge(parts)?;
     let size = (picture.width, picture.height);
-    if let (Some(mask), Some(path)) = (&mask, &frame.mask) {
+    if let (Some(mask), Some(path)) = (mask, &frame.mask) {
         let found = (mask.width, mask.height);
         if found != size {
             return Err(CaptureError::ImageSize {
@@ -246,7 +251,7 @@ fn make_view(
             });
         }
     }
-    let photograph = clean(picture, mask.as_ref(), &frame.name, tally);
+    let photograph = clean(picture, mask, &frame.name, tally);
     check_useful(&photograph, &path)?;
     Ok(View {
         name: frame.name.clone(),

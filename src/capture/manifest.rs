@@ -67,6 +67,8 @@ pub(super) struct Exposure {
     pub path: PathBuf,
     /// Relative exposure t·(ISO/100)/N², for a file of a bracket.
     pub amount: Option<f64>,
+    /// Which of `f_number` and `iso` the manifest states for it.
+    pub stated: Vec<&'static str>,
 }
 
 /// Intrinsics as stated, before the image size is known.
@@ -321,13 +323,13 @@ impl Manifest {
         let (up, radius) = light_hemisphere(&top)?;
         let mesh_path = top.text("mesh_path")?.map(str::to_owned);
         Ok(Self {
+            path,
+            folder,
             frames,
             mesh_path,
             up,
             radius,
             applied,
-            folder,
-            path,
         })
     }
 }
@@ -501,6 +503,7 @@ fn read_exposures(frame: &Fields, folder: &Path) -> Result<Vec<Exposure>, Captur
             field: frame.field("file_path"),
             path: resolve(folder, name),
             amount: None,
+            stated: Vec::new(),
         }]);
     };
     list.iter()
@@ -524,6 +527,10 @@ fn read_exposures(frame: &Fields, folder: &Path) -> Result<Vec<Exposure>, Captur
                 field: fields.field("file_path"),
                 path: resolve(folder, name),
                 amount: Some(time * iso / 100.0 / (stop * stop)),
+                stated: ["f_number", "iso"]
+                    .into_iter()
+                    .filter(|key| fields.get(key).is_some())
+                    .collect(),
             })
         })
         .collect()
@@ -680,7 +687,7 @@ fn rigid(matrix: DMat4) -> Result<DAffine3, String> {
     let distance = (0..3)
         .map(|i| (linear.col(i) / scale - rotation.col(i)).length())
         .fold(0.0, f64::max);
-    if !(distance < 0.02) {
+    if distance.is_nan() || distance > 0.02 {
         return Err("is not a rotation with a uniform scale".to_owned());
     }
     Ok(DAffine3 {

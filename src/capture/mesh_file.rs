@@ -143,6 +143,7 @@ pub(super) fn finish(path: &Path, raw: RawMesh) -> Result<(Mesh, Vec<String>), C
             .push("Texture coordinates of the mesh are incomplete and were left out.".to_owned());
         mesh.uvs.clear();
     }
+    warnings.extend(orient(&mut mesh).map(str::to_owned));
     let computed = repair_normals(&mut mesh);
     if computed == mesh.positions.len() {
         warnings
@@ -155,6 +156,52 @@ pub(super) fn finish(path: &Path, raw: RawMesh) -> Result<(Mesh, Vec<String>), C
     Ok((mesh, warnings))
 }
 
+/// Turns triangles and normals outwards where the whole mesh has them the wrong way round: a closed surface that
+/// encloses a negative volume is inside out, and triangles wound against the normals follow the normals. Returns
+/// what was done.
+fn orient(mesh: &mut Mesh) -> Option<&'static str> {
+    let centre = mesh.centre().as_dvec3();
+    let (mut area, mut agreeing, mut volume, mut sum) = (0.0, 0.0, 0.0, glam::DVec3::ZERO);
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|v| mesh.positions[v as usize].as_dvec3() - centre);
+        let normal = (b - a).cross(c - a);
+        let shading: glam::DVec3 = triangle
+            .iter()
+            .filter_map(|&v| mesh.normals.get(v as usize))
+            .map(|n| n.as_dvec3())
+            .sum();
+        area += normal.length();
+        sum += normal;
+        volume += a.dot(b.cross(c));
+        agreeing += normal.length() * f64::from(u8::from(normal.dot(shading) > 0.0));
+    }
+    let closed = sum.length() < 1e-3 * area;
+    let inside_out = closed && volume < 0.0;
+    let has_normals = mesh.normals.iter().any(|n| *n != Vec3::ZERO);
+    let against = has_normals && agreeing < 0.1 * area;
+    let with = has_normals && agreeing > 0.9 * area;
+    if inside_out || (against && !closed) {
+        for triangle in &mut mesh.triangles {
+            triangle.swap(1, 2);
+        }
+    }
+    if (inside_out && with) || (closed && !inside_out && against) {
+        for normal in &mut mesh.normals {
+            *normal = -*normal;
+        }
+    }
+    match (inside_out, against) {
+        (true, _) => Some("The mesh was inside out; its triangles were turned to face outwards."),
+        (false, true) if closed => {
+            Some("The mesh's normals pointed inwards and were turned round.")
+        }
+        (false, true) => {
+            Some("The mesh's triangles were wound against its normals and were turned round.")
+        }
+        (false, false) => None,
+    }
+}
+
 /// Makes every normal unit length; where there is none, the mean of the adjacent face normals weighted by
 /// the angle at the vertex. Vertices at the same position share their faces, so that texture seams stay
 /// smooth. Returns how many normals were computed.
@@ -164,7 +211,7 @@ fn repair_normals(mesh: &mut Mesh) -> usize {
         *normal = normal
             .as_dvec3()
             .try_normalize()
-            .map_or(Vec3::ZERO, |n| n.as_vec3());
+            .map_or(Vec3::ZERO, glam::DVec3::as_vec3);
     }
     let computed = mesh.normals.iter().filter(|n| **n == Vec3::ZERO).count();
     if computed == 0 {
@@ -187,7 +234,7 @@ fn repair_normals(mesh: &mut Mesh) -> usize {
         if *normal == Vec3::ZERO {
             let sum = sums[place as usize].try_normalize();
             // Vertices without faces are never looked at, but a unit vector keeps the promise.
-            *normal = sum.map_or(Vec3::Y, |n| n.as_vec3());
+            *normal = sum.map_or(Vec3::Y, glam::DVec3::as_vec3);
         }
     }
     computed

@@ -11,6 +11,8 @@ mod obj;
 mod picture;
 mod ply;
 mod polygon;
+#[cfg(test)]
+mod tests;
 
 pub use camera::{Camera, Distortion};
 pub use error::CaptureError;

@@ -8,6 +8,9 @@ use std::path::Path;
 
 const NONE: u32 = u32::MAX;
 
+/// What the three indices of a corner refer to, for messages.
+const WHAT: [&str; 3] = ["vertex", "texture coordinate", "normal"];
+
 /// A corner's indices of position, texture coordinate and normal; `NONE` where absent.
 type Corner = [u32; 3];
 
@@ -31,9 +34,7 @@ struct Parser {
 pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<RawMesh, CaptureError> {
     let mut parser = Parser::default();
     let joined;
-    let bytes = if bytes.windows(2).any(|pair| pair == b"\\\n")
-        || bytes.windows(3).any(|t| t == b"\\\r\n")
-    {
+    let bytes = if bytes.contains(&b'\\') {
         joined = join_continued(bytes);
         &joined
     } else {
@@ -48,6 +49,12 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<RawMesh, CaptureError> 
                 problem,
             })?;
         }
+    }
+    if parser.triangles.is_empty() {
+        return Err(CaptureError::MeshEmpty {
+            path: path.to_owned(),
+            problem: format!("{} vertices but no faces", parser.positions.len()),
+        });
     }
     Ok(parser.finish())
 }
@@ -125,7 +132,6 @@ impl Parser {
     /// The indices in `v`, `v/vt`, `v//vn` or `v/vt/vn`, from 1 or, if negative, from the end.
     fn corner(&self, word: &[u8]) -> Result<Corner, String> {
         let counts = [self.positions.len(), self.uvs.len(), self.normals.len()];
-        const WHAT: [&str; 3] = ["vertex", "texture coordinate", "normal"];
         let mut corner = [NONE; 3];
         for (i, part) in word.split(|&b| b == b'/').enumerate() {
             if i > 2 || (part.is_empty() && i == 0) {

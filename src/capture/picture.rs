@@ -20,6 +20,9 @@ const MAX_PIXELS: u64 = 256_000_000;
 /// Largest finite half float, where renderers and cameras clamp.
 const HALF_MAX: f32 = 65_504.0;
 
+/// How every EXR file starts.
+const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
+
 /// Advice for files that end too early.
 const COPY_AGAIN: &str = "copy or export it anew";
 
@@ -52,17 +55,26 @@ pub(super) struct Picture {
 }
 
 impl Picture {
-    /// Decodes an image file that should have the size `stated`, if any is.
+    /// Reads an image file that `field` of the manifest names. `check_size` may refuse its width and height before the
+    /// pixels are decoded.
     pub(super) fn read(
         path: &Path,
         field: &str,
         check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
     ) -> Result<Self, CaptureError> {
-        let bytes = read_file(path, field)?;
-        if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-            read_exr(path, &bytes, check_size)
+        Self::decode(path, &read_file(path, field)?, check_size)
+    }
+
+    /// Decodes the bytes of the image file `path`.
+    pub(super) fn decode(
+        path: &Path,
+        bytes: &[u8],
+        check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
+    ) -> Result<Self, CaptureError> {
+        if bytes.starts_with(&EXR_MAGIC) {
+            read_exr(path, bytes, check_size)
         } else {
-            read_common(path, &bytes, check_size)
+            read_common(path, bytes, check_size)
         }
     }
 }
@@ -70,7 +82,7 @@ impl Picture {
 /// Width and height of an image file, from its header.
 pub(super) fn read_size(path: &Path, field: &str) -> Result<(u32, u32), CaptureError> {
     let bytes = read_file(path, field)?;
-    if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+    if bytes.starts_with(&EXR_MAGIC) {
         let meta = MetaData::read_from_buffered(Cursor::new(&bytes), false)
             .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
         let window = display_size(path, meta.headers.first())?;
@@ -249,7 +261,7 @@ fn read_exr(
     let place = Placement {
         data_width: part.size.x(),
         data_height: part.size.y(),
-        offset: (offset.x() as i64, offset.y() as i64),
+        offset: (i64::from(offset.x()), i64::from(offset.y())),
         size,
     };
     let mut rgb = vec![[0.0; 3]; size.0 * size.1];
@@ -268,7 +280,7 @@ fn read_exr(
     let alpha = layer.alpha.map(|index| {
         let mut alpha = vec![0.0; rgb.len()];
         place.each(&channels[index].sample_data, |pixel, value| {
-            alpha[pixel] = value
+            alpha[pixel] = value;
         });
         alpha
     });
@@ -347,6 +359,9 @@ fn read_common(
         .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
     let has_alpha = image.color().has_alpha();
     let jpeg = bytes.starts_with(&[0xff, 0xd8]);
+    if jpeg && !jpeg_ends(bytes) {
+        return Err(broken(path, "the file ends too early", COPY_AGAIN));
+    }
     let (encoding, pixels, saturated) = decode(image, jpeg);
     let alpha = has_alpha.then(|| pixels.iter().map(|p| p[3]).collect());
     let rgb = pixels
@@ -361,6 +376,32 @@ fn read_common(
         saturated,
         encoding,
     })
+}
+
+/// Whether a JPEG file has its end-of-image marker; decoders fill up truncated files with grey.
+fn jpeg_ends(bytes: &[u8]) -> bool {
+    let mut at = 2;
+    while let Some(&[0xff, marker]) = bytes.get(at..at + 2) {
+        match marker {
+            0xd9 => return true,
+            0xff => at += 1,
+            _ => {
+                let Some(&[high, low]) = bytes.get(at + 2..at + 4) else {
+                    return false;
+                };
+                at += 2 + usize::from(u16::from_be_bytes([high, low]));
+                if marker == 0xda {
+                    // Coded data: up to the next marker that is neither a stuffed zero nor a restart.
+                    let rest = bytes.get(at..).unwrap_or_default();
+                    let next = rest
+                        .windows(2)
+                        .position(|p| p[0] == 0xff && !matches!(p[1], 0x00 | 0xd0..=0xd7 | 0xff));
+                    at += next.unwrap_or(rest.len());
+                }
+            }
+        }
+    }
+    false
 }
 
 /// Linear straight RGBA and saturation of every pixel.
