@@ -228,15 +228,11 @@ pub fn front_most(mesh: &Mesh, occluder: &Occluder, camera: &Camera) -> (Vec<u32
 }
 
 /// Weights of the second and third corner of `triangle` where the ray through a pixel's centre meets its plane.
-pub fn barycentric_at(
-    mesh: &Mesh,
-    camera: &Camera,
-    triangle: u32,
-    x: u32,
-    y: u32,
-) -> Option<Vec2> {
+pub fn barycentric_at(mesh: &Mesh, camera: &Camera, triangle: u32, x: u32, y: u32) -> Option<Vec2> {
     let ray = unit_depth_ray(camera, pixel_centre(x, y));
-    let [a, b, c] = mesh.corners(triangle).map(|p| camera.to_camera(p.as_dvec3()));
+    let [a, b, c] = mesh
+        .corners(triangle)
+        .map(|p| camera.to_camera(p.as_dvec3()));
     let weights = DVec3::new(
         b.cross(c).dot(ray),
         c.cross(a).dot(ray),
@@ -457,6 +453,7 @@ mod tests {
         camera.distortion = Distortion {
             k: [-0.3, 0.1, 0.0, 0.0],
             p: [0.001, 0.002],
+            ..Distortion::default()
         };
         let surface = ViewSurface::new(&mesh, &occluder, &camera);
         let mut seen = 0;
