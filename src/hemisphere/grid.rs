@@ -4,7 +4,7 @@
 //! The icosahedron stands with the middle of an edge at the pole, and nodes on the rim count: so orientated, frequency 70
 //! has the paper's 24,641 nodes. The points inside a face are spread by the weights sin(w θ) of its corners (θ = the angle
 //! of an icosahedron's edge), which divides every edge into equal arcs. Projecting the flat face instead would crowd
-//! nodes at the corners to twice the density of the middle, against the one solid angle ω_l = 2π/N_L that all have.
+//! nodes at the corners to twice the density of the middle, against the one solid angle ω = 2π/N that all have.
 
 use glam::{DVec3, Quat, Vec3};
 
@@ -248,8 +248,7 @@ impl HemisphereGrid {
     /// nodes' spacing.
     pub fn nearest(&self, direction: Vec3) -> Option<usize> {
         let local = self.local_from_world * direction;
-        // Written so that NaN is refused too.
-        if !(local.z >= self.lowest) {
+        if local.is_nan() || local.z < self.lowest {
             return None;
         }
         let sum = local.x.abs() + local.y.abs() + local.z.max(0.0);
@@ -288,7 +287,7 @@ impl HemisphereGrid {
     }
 
     /// Unit direction from `position` to a node, and the factor on the node's solid angle there: 1 for distant light,
-    /// (R / |p_l − x|)² at radius R.
+    /// (R / |p − x|)² at radius R, p the node.
     pub fn light_from(&self, node: usize, position: Vec3) -> (Vec3, f32) {
         let Some(radius) = self.radius else {
             return (self.directions[node], 1.0);

@@ -1,9 +1,17 @@
 //! Where it was measured: which point of the surface each pixel shows, and a texture for any mesh.
 
+mod atlas;
 mod bvh;
+mod charts;
+mod texture;
 mod visible;
 
+pub use atlas::{Atlas, LARGEST_SIDE, Texel};
 pub use bvh::{Hit, Occluder};
+pub use texture::{
+    DiffuseTexture, FULL_COVERAGE, GRAZING, Observation, is_object, minimum_texture, observations,
+    observe, wanted_density,
+};
 pub use visible::{NO_TRIANGLE, ViewSurface, barycentric_at, front_most};
 
 #[cfg(test)]

@@ -7,7 +7,7 @@
 //! an edge compute the same numbers for it and leave no crack. Where the lens distorts, straight edges do not stay
 //! straight and each pixel casts a ray instead.
 
-use glam::{DVec2, DVec3, Vec2};
+use glam::{DVec2, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::bvh::Occluder;
@@ -280,7 +280,7 @@ impl ViewSurface {
                 if t == NO_TRIANGLE {
                     return DVec3::ZERO;
                 }
-                let [a, b, c] = mesh.corners(t).map(|p| p.as_dvec3());
+                let [a, b, c] = mesh.corners(t).map(Vec3::as_dvec3);
                 let normal = camera
                     .world_from_camera
                     .matrix3
@@ -349,7 +349,7 @@ impl ViewSurface {
 
     /// Where the view shows the world point `position`, in pixel coordinates: `None` unless it is the front-most surface
     /// there and the four pixels that a bilinear look-up reads show one piece of surface.
-    pub fn sees(&self, camera: &Camera, position: glam::Vec3) -> Option<DVec2> {
+    pub fn sees(&self, camera: &Camera, position: Vec3) -> Option<DVec2> {
         let world = position.as_dvec3();
         let at = camera.project(world)?;
         let corner = at - 0.5;
@@ -390,7 +390,6 @@ mod tests {
     use super::*;
     use crate::capture::Distortion;
     use crate::surface::fixtures::{bumpy_sphere, camera};
-    use glam::Vec3;
 
     fn from_the_front() -> Camera {
         camera(DVec3::new(0.5, 1.0, 4.0), DVec3::ZERO, 320, 240, 1.5)

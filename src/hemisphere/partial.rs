@@ -1,0 +1,184 @@
+//! Specular images, the partial hemisphere of each view and the initial hemisphere (2.2).
+//!
+//! What a photograph shows beyond the rendered diffuse texture is specular reflection, plus interreflection, plus noise.
+//! Each pixel's remainder goes to the node nearest to where the mirror ray of the view about the shading normal meets the
+//! hemisphere. A light stands still on the hemisphere from view to view; an interreflection moves: a node is kept where
+//! enough views show something, at the least that any of them shows. The values are reflected radiance, still blurred
+//! by the lobe and not yet divided by its integral: they say where light may be, and roughly how much.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::grid::HemisphereGrid;
+use crate::capture::{Mesh, View};
+use crate::surface::{Atlas, DiffuseTexture, GRAZING, NO_TRIANGLE, ViewSurface, is_object};
+
+/// Rounds in which a node without a value takes the mean of its neighbours': where the surface is strongly curved, mirror
+/// rays of adjacent pixels lie several nodes apart, and what lies between them was seen too.
+const CLOSING_ROUNDS: usize = 2;
+/// Neighbours with a value that a node needs to be closed: more than half around it, so that the border does not grow.
+const CLOSING_NEIGHBOURS: usize = 4;
+
+/// A photograph less the rendered diffuse texture.
+#[derive(Clone, Debug)]
+pub struct SpecularImage {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// What the photograph shows beyond the diffuse texture, RGB, at least zero, row by row from the top.
+    pub radiance: Vec<[f32; 3]>,
+    /// Unit shading normal at each pixel's centre; zero where the pixel is not used: off the object, at a silhouette or a
+    /// jump in depth, seen at a grazing angle, not data, or of unknown diffuse colour.
+    pub normal: Vec<Vec3>,
+    /// Surface position at each pixel's centre, zero where not used.
+    pub position: Vec<Vec3>,
+}
+
+/// What one view says of the light from each node.
+#[derive(Clone, Debug)]
+pub struct PartialHemisphere {
+    /// Mean of the specular radiance that was sent to each node, RGB: the mean, because the greatest of several pixels grows
+    /// with their noise. Zero where none was.
+    pub radiance: Vec<[f32; 3]>,
+    /// Whether each node has a value.
+    pub has_value: Vec<bool>,
+}
+
+/// What the views agree on.
+#[derive(Clone, Debug)]
+pub struct InitialHemisphere {
+    /// Least specular radiance among the views with a value, per channel, one per node; zero where too few have one.
+    pub radiance: Vec<[f32; 3]>,
+    /// Number of partial hemispheres that have a value, one per node.
+    pub votes: Vec<u32>,
+}
+
+impl SpecularImage {
+    /// The specular part of `view` over the diffuse `texture`.
+    pub fn new(
+        mesh: &Mesh,
+        atlas: &Atlas,
+        texture: &DiffuseTexture,
+        view: &View,
+        surface: &ViewSurface,
+    ) -> Self {
+        let width = surface.width as usize;
+        let camera = &view.camera;
+        let eye = camera.position().as_vec3();
+        let pixels: Vec<([f32; 3], Vec3, Vec3)> = (0..surface.triangle.len())
+            .into_par_iter()
+            .map(|pixel| {
+                let unused = ([0.0; 3], Vec3::ZERO, Vec3::ZERO);
+                let triangle = surface.triangle[pixel];
+                let usable = triangle != NO_TRIANGLE
+                    && surface.interior[pixel]
+                    && is_object(&view.photograph, pixel);
+                if !usable {
+                    return unused;
+                }
+                let (x, y) = ((pixel % width) as u32, (pixel / width) as u32);
+                let Some(barycentric) = surface.barycentric(mesh, camera, x, y) else {
+                    return unused;
+                };
+                let point = mesh.point(triangle, barycentric);
+                let to_camera = (eye - point.position).normalize_or_zero();
+                if point.normal.dot(to_camera) < GRAZING {
+                    return unused;
+                }
+                let Some(diffuse) = texture.at(atlas, triangle, barycentric) else {
+                    return unused;
+                };
+                let measured = Vec3::from(view.photograph.radiance[pixel]);
+                let specular = (measured - Vec3::from(diffuse)).max(Vec3::ZERO);
+                (specular.to_array(), point.normal, point.position)
+            })
+            .collect();
+        Self {
+            width: surface.width,
+            height: surface.height,
+            radiance: pixels.iter().map(|p| p.0).collect(),
+            normal: pixels.iter().map(|p| p.1).collect(),
+            position: pixels.iter().map(|p| p.2).collect(),
+        }
+    }
+
+    /// The specular radiance mapped to the hemisphere.
+    pub fn partial_hemisphere(&self, grid: &HemisphereGrid, eye: Vec3) -> PartialHemisphere {
+        let nodes: Vec<Option<u32>> = (0..self.radiance.len())
+            .into_par_iter()
+            .map(|pixel| {
+                let (n, x) = (self.normal[pixel], self.position[pixel]);
+                if n == Vec3::ZERO {
+                    return None;
+                }
+                let v = (eye - x).normalize_or_zero();
+                let mirrored = 2.0 * n.dot(v) * n - v;
+                grid.nearest_along(x, mirrored).map(|node| node as u32)
+            })
+            .collect();
+        let mut sum = vec![Vec3::ZERO; grid.directions.len()];
+        let mut count = vec![0_u32; grid.directions.len()];
+        for (node, &radiance) in nodes.iter().zip(&self.radiance) {
+            if let Some(node) = *node {
+                sum[node as usize] += Vec3::from(radiance);
+                count[node as usize] += 1;
+            }
+        }
+        let mut values: Vec<Option<Vec3>> = sum
+            .into_iter()
+            .zip(count)
+            .map(|(sum, count)| (count > 0).then(|| sum / count as f32))
+            .collect();
+        for _ in 0..CLOSING_ROUNDS {
+            values = close(grid, &values);
+        }
+        PartialHemisphere {
+            has_value: values.iter().map(Option::is_some).collect(),
+            radiance: values
+                .into_iter()
+                .map(|v| v.unwrap_or(Vec3::ZERO).to_array())
+                .collect(),
+        }
+    }
+}
+
+/// Gives nodes without a value the mean of their neighbours'.
+fn close(grid: &HemisphereGrid, values: &[Option<Vec3>]) -> Vec<Option<Vec3>> {
+    (0..values.len())
+        .into_par_iter()
+        .map(|node| {
+            if values[node].is_some() {
+                return values[node];
+            }
+            let known = || grid.neighbours(node).filter_map(|k| values[k]);
+            let count = known().count();
+            (count >= CLOSING_NEIGHBOURS).then(|| known().sum::<Vec3>() / count as f32)
+        })
+        .collect()
+}
+
+impl InitialHemisphere {
+    /// Nodes for which all but `missing` of the partial hemispheres have a value keep the least of these values (2.2).
+    /// `missing` is 0, or more where some lights do not reach every view.
+    pub fn new(partials: &[PartialHemisphere], missing: usize) -> Self {
+        let nodes = partials.first().map_or(0, |p| p.radiance.len());
+        let needed = partials.len().saturating_sub(missing).max(1);
+        let (radiance, votes) = (0..nodes)
+            .into_par_iter()
+            .map(|node| {
+                let with_value = || partials.iter().filter(|p| p.has_value[node]);
+                let votes = with_value().count();
+                let least = if votes >= needed {
+                    with_value().fold(Vec3::INFINITY, |least, p| {
+                        least.min(p.radiance[node].into())
+                    })
+                } else {
+                    Vec3::ZERO
+                };
+                (least.to_array(), votes as u32)
+            })
+            .unzip();
+        Self { radiance, votes }
+    }
+}
