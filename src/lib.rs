@@ -1,5 +1,7 @@
 //! rekindle relights a captured object.
 
 pub mod capture;
+pub mod estimate;
 pub mod hemisphere;
+pub mod math;
 pub mod surface;

@@ -1,0 +1,65 @@
+//! When the data can't say: no separation, no specular part, nothing that determines it.
+
+use super::fast::Fit;
+use super::observations::Observations;
+use super::state::State;
+use crate::capture::Capture;
+
+/// Fewer surface points seen by two views than this are no basis for an estimate.
+const FEWEST_POINTS: usize = 60;
+
+/// Gain in the squared residual per lit cell, over the noise's, below which lights are fitted to noise.
+const LEAST_SIGNIFICANCE: f64 = 8.0;
+
+/// Share of the squared differences between views that lights must explain.
+const LEAST_EXPLAINED: f64 = 0.15;
+
+/// Relative standard error of σ past which it counts as undetermined.
+const LARGEST_RELATIVE_ERROR: f32 = 0.3;
+
+/// Why diffuse and specular parts can't be told apart in this capture, if they can't.
+pub fn unseparable(capture: &Capture, observations: &Observations) -> Option<String> {
+    let common = observations.points.len();
+    if capture.views.len() == 1 {
+        return Some(
+            "There is a single view: nothing tells a highlight from the texture. The whole image is taken as \
+             diffuse. Add views from other directions."
+                .to_owned(),
+        );
+    }
+    (common < FEWEST_POINTS).then(|| {
+        format!(
+            "Only {common} sampled surface points are seen clearly by two views or more: highlights can't be told \
+             from the texture. Everything is taken as diffuse. Add views that overlap, or check that the mesh and \
+             the cameras share one frame."
+        )
+    })
+}
+
+/// Why the differences between views are no highlights, if they aren't.
+pub fn no_specular(state: &State<'_>) -> Option<String> {
+    let rows = state.residuals.values.len() as f64;
+    let lit = state
+        .radiance
+        .iter()
+        .filter(|l| l.iter().any(|&v| v > 0.0))
+        .count() as f64;
+    let (dark, left) = (state.dark_objective(), state.objective());
+    let explained = 1.0 - left / dark.max(f64::MIN_POSITIVE);
+    let significance = (dark - left) / lit.max(1.0) / (left / rows).max(f64::MIN_POSITIVE);
+    (lit == 0.0 || explained < LEAST_EXPLAINED || significance < LEAST_SIGNIFICANCE).then(|| {
+        "No specular part was found: the views differ by no more than noise, as those of a purely diffuse object \
+         do. Everything is taken as diffuse; without highlights the lighting can't be recovered."
+            .to_owned()
+    })
+}
+
+/// Why roughness and lighting are not determined by a fit, if they aren't.
+pub fn undetermined(fit: &Fit) -> Option<String> {
+    let relative = fit.sigma_error / fit.brdf.sigma;
+    (!relative.is_finite() || relative > LARGEST_RELATIVE_ERROR).then(|| {
+        "The lighting has no detail sharp enough to tell its own blur from the surface's roughness, as under a \
+         uniform sky. Everything is taken as diffuse; add a lamp or photograph under light with an edge."
+            .to_owned()
+    })
+}

@@ -1,0 +1,290 @@
+//! The default method: variable projection over cells that are split where there is light.
+//!
+//! For a fixed σ the lights are a non-negative least-squares problem whose size is the number of lit cells, because
+//! the diffuse colours are eliminated exactly and dark cells are left out. σ then is the minimum of
+//! `f(σ) = min_{L ≥ 0} ‖W^½ P (A_σ L − I)‖²`: a few values of σ are compared on the coarsest cells, in gray and on
+//! few points, and from the best one Gauss-Newton steps on f go on together with robust reweighting while lit cells
+//! are split down to single nodes. Only surface points that could show one of the lit cells take part from then on.
+
+use std::collections::BTreeSet;
+use std::time::Instant;
+
+use glam::Vec3;
+
+use super::cells::{Cell, Pyramid};
+use super::design::{Design, light_from};
+use super::model::{Brdf, SpecularModel};
+use super::observations::{Observations, Row, Sampling};
+use super::observer::{Iteration, Observer, Stopped, go_on};
+use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
+use super::visibility::cell_visibility;
+use crate::capture::Capture;
+use crate::surface::{Occluder, ViewSurface};
+
+/// Roughnesses compared on the coarsest cells, radians.
+const SIGMAS: [f32; 6] = [0.03, 0.05, 0.08, 0.13, 0.21, 0.34];
+
+/// Frequency of the coarsest grid.
+pub const COARSEST: u32 = 11;
+
+/// Points on the coarsest cells.
+const COARSE_POINTS: usize = 1500;
+
+/// Pixels looked at for points that could show a lit cell, and the most that are kept of them.
+const FINE_CANDIDATES: usize = 24_000;
+const FINE_POINTS: usize = 6000;
+
+/// Cells past about this number stay coarse, the dimmest first.
+const MOST_CELLS: usize = 700;
+
+/// A cell with less than this share of the flux is not worth splitting.
+const LEAST_SHARE: f32 = 2e-3;
+
+/// A cell with less than this share of the flux is taken as dark.
+const DARK_SHARE: f32 = 2e-4;
+
+/// A lobe below this share of its peak says nothing worth a row.
+const LEAST_LOBE: f32 = 0.02;
+
+/// What the fit of one specular model found.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    /// Model and roughness.
+    pub brdf: Brdf,
+    /// Radiance per node of the finest grid, in the capture's units.
+    pub nodes: Vec<[f32; 3]>,
+    /// Standard error of σ, radians; infinite where the data do not determine it.
+    pub sigma_error: f32,
+}
+
+/// All that a fit works on.
+pub struct Solver<'a> {
+    /// Photographs, cameras and mesh.
+    pub capture: &'a Capture,
+    /// What each view sees.
+    pub surfaces: &'a [ViewSurface],
+    /// The object, for shadows.
+    pub occluder: &'a Occluder,
+    /// The cells.
+    pub pyramid: &'a Pyramid,
+    /// Centre and radius of a finite hemisphere.
+    pub near: Option<(Vec3, f32)>,
+    /// Points spread over everything seen, in gray.
+    pub coarse: Observations,
+    /// The clock that iterations are timed by.
+    pub started: Instant,
+}
+
+/// A watched solve: every step is counted, timed and reported.
+pub struct Watch<'w> {
+    /// Iterations so far.
+    pub iterations: &'w mut Vec<Iteration>,
+    /// Who is told.
+    pub observer: &'w mut dyn Observer,
+}
+
+impl Solver<'_> {
+    /// Points for the coarsest cells.
+    pub fn coarse_observations(capture: &Capture, surfaces: &[ViewSurface]) -> Observations {
+        let sampling = Sampling {
+            candidates: COARSE_POINTS,
+            limit: COARSE_POINTS,
+            keep: &|_, _, _| true,
+            scale: None,
+        };
+        Observations::gather(capture, surfaces, &sampling).to_gray()
+    }
+
+    /// The best of [`SIGMAS`] on the coarsest cells, improved by a few steps.
+    pub fn coarse_fit(
+        &self,
+        model: SpecularModel,
+        watch: &mut Watch<'_>,
+    ) -> Result<State<'_>, Stopped> {
+        let sigma = SIGMAS[0];
+        let roots = self.pyramid.roots();
+        let dark = State::new(
+            self.design(&self.coarse, &roots),
+            roots,
+            Brdf { model, sigma },
+        );
+        let mut best: Option<(f64, State<'_>)> = None;
+        for (k, sigma) in SIGMAS.into_iter().enumerate() {
+            let done = 0.3 * k as f32 / SIGMAS.len() as f32;
+            go_on(watch.observer.progress("comparing roughnesses", done))?;
+            let mut state = dark.clone();
+            state.brdf.sigma = sigma;
+            state.solve_lights(ROUGH);
+            // The mean absolute residual needs no noise level, which no fit has given yet.
+            let cost = state.residuals.absolute_sum();
+            if best.as_ref().is_some_and(|(c, _)| cost > 2.0 * *c) {
+                break;
+            }
+            if best.as_ref().is_none_or(|(c, _)| cost < *c) {
+                best = Some((cost, state));
+            }
+        }
+        let mut state = best.map_or(dark, |(_, s)| s);
+        self.improve(&mut state, 4, ROUGH, watch)?;
+        Ok(state)
+    }
+
+    /// Goes on from a coarse fit to single nodes.
+    pub fn fine_fit(&self, coarse: &State<'_>, watch: &mut Watch<'_>) -> Result<Fit, Stopped> {
+        let colour = self.fine_observations(coarse);
+        let gray = colour.to_gray();
+        let mut state = coarse.clone();
+        let mut step = None;
+        for level in 1..=self.pyramid.finest() {
+            go_on(watch.observer.progress(
+                "splitting lit cells",
+                0.3 + 0.6 * f32::from(level) / f32::from(self.pyramid.finest()),
+            ))?;
+            let last = level == self.pyramid.finest();
+            state = self.refine(&state, if last { &colour } else { &gray });
+            let (rounds, precision) = if last { (8, EXACT) } else { (2, ROUGH) };
+            state.solve_lights(precision);
+            step = Some(self.improve(&mut state, rounds, precision, watch)?);
+        }
+        state.solve_lights(EXACT);
+        let scale = self.coarse.scale;
+        let mut nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
+        for value in nodes.iter_mut().flatten() {
+            *value *= scale;
+        }
+        Ok(Fit {
+            brdf: state.brdf,
+            nodes,
+            sigma_error: step.map_or(f32::INFINITY, |s| s.error as f32),
+        })
+    }
+
+    /// Reweighting, lights and a step of σ in turn, until σ stands still.
+    fn improve(
+        &self,
+        state: &mut State<'_>,
+        rounds: usize,
+        precision: Precision,
+        watch: &mut Watch<'_>,
+    ) -> Result<SigmaStep, Stopped> {
+        let mut round = 0;
+        loop {
+            state.reweight();
+            state.solve_lights(precision);
+            let step = state.sigma_step();
+            self.report(state, watch)?;
+            let limit = 0.3 * f64::from(state.brdf.sigma);
+            let change = step.step.clamp(-limit, limit);
+            state.brdf.sigma = (f64::from(state.brdf.sigma) + change).clamp(0.003, 1.0) as f32;
+            round += 1;
+            let settled = change.abs() < 3e-4 * f64::from(state.brdf.sigma);
+            if round >= rounds || (round > 2 && settled) {
+                return Ok(step);
+            }
+        }
+    }
+
+    fn design<'s>(&'s self, observations: &'s Observations, cells: &[Cell]) -> Design<'s> {
+        Design {
+            observations,
+            geometry: self.pyramid.geometry(cells),
+            near: self.near,
+            visibility: Vec::new(),
+        }
+    }
+
+    /// Points at which one of the lit cells, or one beside them, could show.
+    fn fine_observations(&self, coarse: &State<'_>) -> Observations {
+        let (split, kept) = self.worth_splitting(coarse);
+        let cells: Vec<Cell> = split.into_iter().chain(kept).collect();
+        let directions = self.pyramid.geometry(&cells).directions;
+        let reach = coarse.brdf.half_angle_support(LEAST_LOBE) + 0.25 * self.pyramid.spacing(0);
+        let least = reach.min(std::f32::consts::FRAC_PI_2).cos();
+        let keep = |position: Vec3, normal: Vec3, rows: &[Row]| {
+            directions.iter().any(|&d| {
+                let (l, _) = light_from(self.near, d, position);
+                rows.iter()
+                    .any(|r| (l + r.to_camera).normalize_or_zero().dot(normal) > least)
+            })
+        };
+        let sampling = Sampling {
+            candidates: FINE_CANDIDATES,
+            limit: FINE_POINTS,
+            keep: &keep,
+            scale: Some(self.coarse.scale),
+        };
+        Observations::gather(self.capture, self.surfaces, &sampling)
+    }
+
+    /// Lit cells and those beside them, to be split; and lit cells that are too dim to be.
+    fn worth_splitting(&self, state: &State<'_>) -> (BTreeSet<Cell>, BTreeSet<Cell>) {
+        let mut lit: Vec<(f32, Cell)> = state
+            .cells
+            .iter()
+            .zip(&state.radiance)
+            .zip(&state.design.geometry.solid_angles)
+            .map(|((&cell, l), w)| (w * l.iter().sum::<f32>(), cell))
+            .filter(|(flux, _)| *flux > 0.0)
+            .collect();
+        lit.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let total: f32 = lit.iter().map(|(flux, _)| flux).sum();
+        lit.retain(|(flux, _)| *flux > DARK_SHARE * total);
+        let present: BTreeSet<Cell> = state.cells.iter().copied().collect();
+        let (mut split, mut kept) = (BTreeSet::new(), BTreeSet::new());
+        let mut count = 0;
+        for (flux, cell) in lit {
+            if count >= MOST_CELLS || flux < LEAST_SHARE * total {
+                kept.insert(cell);
+                continue;
+            }
+            let beside = self
+                .pyramid
+                .neighbours(cell)
+                .filter(|n| present.contains(n));
+            for c in std::iter::once(cell).chain(beside) {
+                if split.insert(c) {
+                    count += self.pyramid.children(c).count();
+                }
+            }
+        }
+        let kept = kept.difference(&split).copied().collect();
+        (split, kept)
+    }
+
+    /// Splits lit cells and those beside them, drops dark ones and looks for shadows.
+    fn refine<'s>(&'s self, state: &State<'_>, observations: &'s Observations) -> State<'s> {
+        let (split, kept) = self.worth_splitting(state);
+        let mut cells: Vec<Cell> = kept.into_iter().collect();
+        for &cell in &split {
+            let before = cells.len();
+            cells.extend(self.pyramid.children(cell));
+            if cells.len() == before {
+                cells.push(cell);
+            }
+        }
+        cells.sort_unstable();
+        let mut design = self.design(observations, &cells);
+        design.visibility =
+            cell_visibility(&design, self.pyramid, &cells, &state.brdf, self.occluder);
+        State::new(design, cells, state.brdf)
+    }
+
+    fn report(&self, state: &State<'_>, watch: &mut Watch<'_>) -> Result<(), Stopped> {
+        let scale = self.coarse.scale;
+        let iteration = Iteration {
+            iteration: watch.iterations.len() as u32 + 1,
+            elapsed_s: self.started.elapsed().as_secs_f64(),
+            objective: state.objective() * f64::from(scale).powi(2),
+            sigma: state.brdf.sigma,
+            residual_rms: state.rms() * scale,
+        };
+        watch.iterations.push(iteration);
+        go_on(watch.observer.iteration(&iteration, &|| {
+            let mut nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
+            for value in nodes.iter_mut().flatten() {
+                *value *= scale;
+            }
+            nodes
+        }))
+    }
+}

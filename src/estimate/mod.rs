@@ -1,0 +1,197 @@
+//! The inverse problem: roughness and lighting from differences between views.
+//!
+//! [`estimate`] runs one of the methods on a capture. All of them minimise over radiances L ≥ 0 on the nodes of a
+//! geodesic hemisphere and the roughness σ of a specular lobe (eq. 17); they differ in how. Results are K_S-scaled:
+//! K_S = 1, because it can't be told from the lights' strength.
+
+mod cells;
+mod design;
+mod diagnose;
+mod fast;
+mod model;
+mod observations;
+mod observer;
+mod state;
+mod visibility;
+mod weights;
+
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+
+use crate::capture::Capture;
+use crate::hemisphere::HemisphereGrid;
+use crate::surface::{Occluder, ViewSurface};
+
+use cells::Pyramid;
+use fast::{Fit, Solver, Watch};
+pub use model::{Brdf, LobeValue, SpecularModel, ViewTerms};
+pub use observer::{Iteration, Observer, Stopped, Unobserved};
+
+/// How the minimum is sought.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// Variable projection with the diffuse colours eliminated.
+    #[default]
+    Fast,
+}
+
+/// Which specular model to use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SpecularChoice {
+    /// This one.
+    Model(SpecularModel),
+    /// Whichever leaves less unexplained.
+    #[default]
+    Auto,
+}
+
+/// What an estimation is asked to do.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct EstimateParams {
+    /// The method.
+    pub method: Method,
+    /// The specular model.
+    pub specular: SpecularChoice,
+}
+
+/// What an estimation works on.
+#[derive(Clone, Copy)]
+pub struct EstimateInput<'a> {
+    /// Photographs, cameras and mesh.
+    pub capture: &'a Capture,
+    /// What each view sees, one per view.
+    pub surfaces: &'a [ViewSurface],
+    /// The object, for shadows.
+    pub occluder: &'a Occluder,
+    /// Nodes on which the lights are sought.
+    pub grid: &'a HemisphereGrid,
+}
+
+/// What can be said of an estimate's worth.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Diagnostics {
+    /// Whether the data determine roughness and lighting.
+    pub well_posed: bool,
+    /// Whether there is a specular part at all.
+    pub specular_found: bool,
+    /// What a user should know, in whole sentences.
+    pub warnings: Vec<String>,
+}
+
+/// Roughness and lighting.
+#[derive(Clone, Debug)]
+pub struct Estimate {
+    /// The method that found it.
+    pub method: Method,
+    /// Specular model and roughness; `None` where no specular part was found.
+    pub brdf: Option<Brdf>,
+    /// 95 % interval of σ, radians.
+    pub sigma_interval95: Option<[f32; 2]>,
+    /// Radiance per node of the grid, RGB, in the capture's units; all zero without a specular part.
+    pub radiance: Vec<[f32; 3]>,
+    /// What it is worth.
+    pub diagnostics: Diagnostics,
+    /// Every iteration.
+    pub convergence: Vec<Iteration>,
+    /// Why this specular model, in a sentence.
+    pub chosen_because: String,
+}
+
+/// Estimates roughness and lighting of a capture.
+///
+/// A capture that can't tell them is no error: the result then has no specular part and its diagnostics say why.
+pub fn estimate(
+    input: &EstimateInput<'_>,
+    params: &EstimateParams,
+    observer: &mut dyn Observer,
+) -> Result<Estimate, Stopped> {
+    let grid = input.grid;
+    let pyramid = Pyramid::new(grid, fast::COARSEST);
+    let solver = Solver {
+        capture: input.capture,
+        surfaces: input.surfaces,
+        occluder: input.occluder,
+        pyramid: &pyramid,
+        near: grid.radius.map(|r| (grid.centre, r)),
+        coarse: Solver::coarse_observations(input.capture, input.surfaces),
+        started: Instant::now(),
+    };
+    let mut result = Estimate {
+        method: params.method,
+        brdf: None,
+        sigma_interval95: None,
+        radiance: vec![[0.0; 3]; grid.directions.len()],
+        diagnostics: Diagnostics::default(),
+        convergence: Vec::new(),
+        chosen_because: String::new(),
+    };
+    if let Some(reason) = diagnose::unseparable(input.capture, &solver.coarse) {
+        result.diagnostics.warnings.push(reason);
+        return Ok(result);
+    }
+    let mut watch = Watch {
+        iterations: &mut result.convergence,
+        observer,
+    };
+    let (coarse, because) = choose(&solver, params.specular, &mut watch)?;
+    if let Some(reason) = diagnose::no_specular(&coarse) {
+        result.diagnostics.warnings.push(reason);
+        return Ok(result);
+    }
+    let fit = solver.fine_fit(&coarse, &mut watch)?;
+    result.chosen_because = because;
+    accept(&mut result, fit);
+    Ok(result)
+}
+
+/// Takes over a fit if the data determine it.
+fn accept(result: &mut Estimate, fit: Fit) {
+    if let Some(reason) = diagnose::undetermined(&fit) {
+        result.diagnostics.warnings.push(reason);
+        return;
+    }
+    let sigma = fit.brdf.sigma;
+    let half_width = 1.96 * fit.sigma_error;
+    result.diagnostics.well_posed = true;
+    result.diagnostics.specular_found = true;
+    result.sigma_interval95 = Some([(sigma - half_width).max(0.0), sigma + half_width]);
+    result.brdf = Some(fit.brdf);
+    result.radiance = fit.nodes;
+}
+
+/// The coarse fit of the model asked for, or of the one that leaves less, with the reason in words.
+fn choose<'s>(
+    solver: &'s Solver<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<(state::State<'s>, String), Stopped> {
+    if let SpecularChoice::Model(model) = choice {
+        let fit = solver.coarse_fit(model, watch)?;
+        return Ok((fit, "it was asked for".to_owned()));
+    }
+    let paper = solver.coarse_fit(SpecularModel::Paper, watch)?;
+    let microfacet = solver.coarse_fit(SpecularModel::Microfacet, watch)?;
+    let left = [&paper, &microfacet].map(|s| s.residuals.absolute_sum().max(f64::MIN_POSITIVE));
+    let (chosen, names, ratio) = if left[0] <= left[1] {
+        (
+            paper,
+            ["constant Fresnel and masking", "the microfacet model"],
+            left[0] / left[1],
+        )
+    } else {
+        (
+            microfacet,
+            ["the microfacet model", "constant Fresnel and masking"],
+            left[1] / left[0],
+        )
+    };
+    let because = format!(
+        "{} leaves {:.0} % of the residual that {} leaves",
+        names[0],
+        100.0 * ratio,
+        names[1]
+    );
+    Ok((chosen, because))
+}
