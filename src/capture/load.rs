@@ -17,6 +17,11 @@ const SAMPLES: usize = 20_000;
 impl Capture {
     /// Reads a capture from its folder or its `transforms.json`.
     pub fn load(path: &Path) -> Result<Self, CaptureError> {
+        Self::load_counting(path).map(|(capture, _)| capture)
+    }
+
+    /// Reads a capture and counts the bad pixels that its views had, one entry per view.
+    pub fn load_counting(path: &Path) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
         let manifest = Manifest::read(path)?;
         exposures::check_scale(&manifest)?;
         let ((frames, masks), mesh) = rayon::join(
@@ -45,13 +50,15 @@ impl Capture {
         warnings.extend(mesh_warnings);
         place_cameras(&manifest, &mut views, &mesh, mesh_path, &mut warnings)?;
         let light_hemisphere = hemisphere(&manifest, &views, &mesh, &mut warnings);
-        Ok(Self {
+        let capture = Self {
             name: name_of(&manifest.folder),
             views,
             mesh,
             light_hemisphere,
             warnings,
-        })
+        };
+        let counts = tally.pixels.into_iter().map(|(_, counts)| counts).collect();
+        Ok((capture, counts))
     }
 }
 
@@ -157,15 +164,24 @@ fn read_frame(manifest: &Manifest, frame: &Frame) -> Result<Vec<Part>, CaptureEr
         .collect()
 }
 
-/// What happened to the pixels of all views.
+/// What was found in the pixels of one view before they were cleaned.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct PixelCounts {
+    /// Black in the mask.
+    pub masked: usize,
+    /// Not finite: left out.
+    pub non_finite: usize,
+    /// At full scale in every exposure: left out.
+    pub saturated: usize,
+    /// Negative in some channel: set to zero there.
+    pub negative: usize,
+}
+
+/// What all views together say about the input.
 #[derive(Default)]
 struct Tally {
-    /// Views with pixels that are not finite: name and count.
-    non_finite: Vec<(String, usize)>,
-    /// Views with negative pixels: name and count.
-    negative: Vec<(String, usize)>,
-    /// Views with saturated pixels: name and count.
-    saturated: Vec<(String, usize)>,
+    /// One per view, with its name.
+    pixels: Vec<(String, PixelCounts)>,
     /// Number of views from one 8-bit file.
     single_srgb: usize,
     /// Number of views from one 16-bit file.
@@ -173,48 +189,46 @@ struct Tally {
 }
 
 impl Tally {
-    fn report(self, warnings: &mut Vec<String>) {
-        let list = |counts: &[(String, usize)]| {
-            let total: usize = counts.iter().map(|(_, count)| count).sum();
-            let names: Vec<&str> = counts
-                .iter()
-                .take(3)
-                .map(|(name, _)| name.as_str())
-                .collect();
-            let more = match counts.len().saturating_sub(3) {
-                0 => String::new(),
-                more => format!(" and {more} more"),
-            };
-            format!("{total} pixels in {}{more}", names.join(", "))
+    /// "12 pixels in a.exr, b.exr" for the views where `count` is not zero.
+    fn list(&self, count: impl Fn(&PixelCounts) -> usize) -> Option<String> {
+        let found: Vec<(&str, usize)> = self
+            .pixels
+            .iter()
+            .map(|(name, counts)| (name.as_str(), count(counts)))
+            .filter(|(_, count)| *count > 0)
+            .collect();
+        let total: usize = found.iter().map(|(_, count)| count).sum();
+        let names: Vec<&str> = found.iter().take(3).map(|(name, _)| *name).collect();
+        let more = match found.len().saturating_sub(3) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
         };
-        if !self.non_finite.is_empty() {
-            warnings.push(format!(
-                "Not finite and left out: {}.",
-                list(&self.non_finite)
-            ));
+        let plural = if total == 1 { "" } else { "s" };
+        (total > 0).then(|| format!("{total} pixel{plural} in {}{more}", names.join(", ")))
+    }
+
+    fn report(&self, warnings: &mut Vec<String>) {
+        if let Some(list) = self.list(|counts| counts.non_finite) {
+            warnings.push(format!("Not finite and left out: {list}."));
         }
-        if !self.negative.is_empty() {
-            warnings.push(format!(
-                "Negative and set to zero: {}.",
-                list(&self.negative)
-            ));
+        if let Some(list) = self.list(|counts| counts.negative) {
+            warnings.push(format!("Negative and set to zero: {list}."));
         }
-        if !self.saturated.is_empty() {
+        if let Some(list) = self.list(|counts| counts.saturated) {
             warnings.push(format!(
-                "Saturated and left out: {}. Highlights there are lost; take shorter exposures too.",
-                list(&self.saturated)
+                "Saturated and left out: {list}. Highlights there are lost; take shorter exposures too."
             ));
         }
         if self.single_srgb > 0 {
             warnings.push(format!(
-                "{} views are single 8-bit images: their values are taken as sRGB-encoded and their highlights are \
-                 clipped, so that light strengths may come out too low. Use EXR or several exposures.",
+                "Single 8-bit images, {} of them: their values are taken as sRGB-encoded and their highlights are \
+                 clipped, so that lights may come out too weak. Use EXR files or several exposures.",
                 self.single_srgb
             ));
         }
         if self.single_linear > 0 {
             warnings.push(format!(
-                "{} views are 16-bit images, which are taken as linear; export them without a tone curve.",
+                "16-bit images, {} of them, are taken as linear; export them without a tone curve.",
                 self.single_linear
             ));
         }
@@ -283,24 +297,26 @@ fn clean(picture: Picture, mask: Option<&Picture>, name: &str, tally: &mut Tally
         );
     }
     let mut usable = vec![true; rgb.len()];
-    let (mut non_finite, mut negative, mut clipped) = (0, 0, 0);
+    let mut counts = PixelCounts::default();
     for (i, pixel) in rgb.iter_mut().enumerate() {
         let masked = mask.is_some_and(|mask| !is_white(mask.rgb[i]));
         let cover = coverage.as_ref().map_or(1.0, |coverage| coverage[i]);
-        if masked {
-            usable[i] = false;
+        let bad = if masked {
+            Some(&mut counts.masked)
         } else if !pixel.iter().all(|v| v.is_finite()) || !cover.is_finite() {
-            non_finite += 1;
-            usable[i] = false;
+            Some(&mut counts.non_finite)
         } else if saturated[i] && cover > 0.0 {
-            clipped += 1;
+            Some(&mut counts.saturated)
+        } else {
+            None
+        };
+        if let Some(count) = bad {
+            *count += 1;
             usable[i] = false;
-        } else if pixel.iter().any(|&v| v < 0.0) {
-            negative += 1;
-            *pixel = pixel.map(|v| v.max(0.0));
-        }
-        if !usable[i] {
             *pixel = [0.0; 3];
+        } else if pixel.iter().any(|&v| v < 0.0) {
+            counts.negative += 1;
+            *pixel = pixel.map(|v| v.max(0.0));
         }
     }
     if let Some(coverage) = &mut coverage {
@@ -312,15 +328,7 @@ fn clean(picture: Picture, mask: Option<&Picture>, name: &str, tally: &mut Tally
             };
         }
     }
-    for (count, list) in [
-        (non_finite, &mut tally.non_finite),
-        (negative, &mut tally.negative),
-        (clipped, &mut tally.saturated),
-    ] {
-        if count > 0 {
-            list.push((name.to_owned(), count));
-        }
-    }
+    tally.pixels.push((name.to_owned(), counts));
     Photograph {
         width,
         height,

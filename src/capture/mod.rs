@@ -16,7 +16,7 @@ mod tests;
 
 pub use camera::{Camera, Distortion};
 pub use error::CaptureError;
-pub use load::{read_cameras, read_radiance};
+pub use load::{PixelCounts, read_cameras, read_radiance};
 pub use mesh::{Mesh, SurfacePoint};
 
 use glam::DVec3;

@@ -586,7 +586,7 @@ fn bad_pixels_are_masked_clamped_and_counted() {
         "{all}"
     );
     assert!(
-        all.contains("Negative and set to zero: 1 pixels in bad.exr"),
+        all.contains("Negative and set to zero: 1 pixel in bad.exr"),
         "{all}"
     );
 }
