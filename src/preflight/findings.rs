@@ -1,0 +1,374 @@
+//! What the numbers of a report mean, and what to do about them.
+
+use super::{Finding, Report, Severity, ViewReport};
+
+/// Intersection over union below which silhouettes are worth a warning, and below which nothing fits.
+const IOU_FAIR: f64 = 0.95;
+const IOU_HOPELESS: f64 = 0.5;
+
+/// Relative difference of exposure that is worth a warning.
+const EXPOSURE: f64 = 0.1;
+
+/// Collects findings.
+#[derive(Default)]
+struct Findings(Vec<Finding>);
+
+impl Findings {
+    fn add(&mut self, severity: Severity, subject: &str, message: impl Into<String>, advice: &str) {
+        self.0.push(Finding {
+            severity,
+            subject: subject.to_owned(),
+            message: message.into(),
+            advice: advice.to_owned(),
+        });
+    }
+}
+
+/// Judges a report; `warnings` are what loading had to say. The worst come first.
+pub(super) fn judge(report: &Report, warnings: &[String]) -> Vec<Finding> {
+    let mut findings = Findings::default();
+    for warning in warnings {
+        findings.add(Severity::Note, "input", warning.as_str(), "");
+    }
+    sizes(report, &mut findings);
+    for view in &report.views {
+        place(view, &mut findings);
+        pixels(view, &mut findings);
+    }
+    silhouettes(report, &mut findings);
+    exposures(report, &mut findings);
+    coverage(report, &mut findings);
+    mesh(report, &mut findings);
+    let mut findings = findings.0;
+    findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
+    findings
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
+}
+
+fn sizes(report: &Report, findings: &mut Findings) {
+    let first = &report.views[0];
+    let different = report
+        .views
+        .iter()
+        .any(|v| (v.width, v.height) != (first.width, first.height));
+    if different {
+        findings.add(
+            Severity::Note,
+            "images",
+            "Images are of different sizes.",
+            "",
+        );
+    }
+    for view in report.views.iter().filter(|v| v.width.min(v.height) < 100) {
+        let message = format!("The image is only {}×{} pixels.", view.width, view.height);
+        findings.add(
+            Severity::Note,
+            &view.name,
+            message,
+            "Use the full resolution if there is more.",
+        );
+    }
+}
+
+/// Where the camera is and what it sees of the mesh.
+fn place(view: &ViewReport, findings: &mut Findings) {
+    const MATRIX: &str =
+        "Check transform_matrix: camera to world, OpenGL axes, in the mesh's frame and units.";
+    if view.inside {
+        findings.add(
+            Severity::Error,
+            &view.name,
+            "The camera is inside the mesh.",
+            MATRIX,
+        );
+        return;
+    }
+    if view.object_pixels == 0 {
+        let message = "The camera looks away: it sees nothing of the mesh.";
+        findings.add(Severity::Error, &view.name, message, MATRIX);
+        return;
+    }
+    let share = view.object_pixels as f64 / (f64::from(view.width) * f64::from(view.height));
+    if share < 0.02 {
+        let message = format!("The object fills only {} of the image.", percent(share));
+        findings.add(
+            Severity::Note,
+            &view.name,
+            message,
+            "Move closer: highlights need pixels.",
+        );
+    }
+    if view.border_share > 0.02 {
+        let message = format!(
+            "The object is cropped: it covers {} of the image's border.",
+            percent(view.border_share)
+        );
+        findings.add(Severity::Note, &view.name, message, "");
+    }
+    if view.back_share > 0.01 {
+        let message = format!(
+            "{} of the object's pixels show the back of triangles.",
+            percent(view.back_share)
+        );
+        let advice =
+            "Close the mesh's holes, or recalculate its normals so that all faces point outwards.";
+        findings.add(Severity::Warning, &view.name, message, advice);
+    }
+}
+
+fn pixels(view: &ViewReport, findings: &mut Findings) {
+    let all = f64::from(view.width) * f64::from(view.height);
+    let counts = view.pixels;
+    if view.saturated_share > 0.002 {
+        let message = format!(
+            "{} of the object's pixels are saturated.",
+            percent(view.saturated_share)
+        );
+        findings.add(
+            Severity::Warning,
+            &view.name,
+            message,
+            "Add shorter exposures: highlights carry the lighting.",
+        );
+    }
+    for (count, what, advice) in [
+        (
+            counts.non_finite,
+            "not finite",
+            "Find out which program wrote them and export anew.",
+        ),
+        (
+            counts.negative,
+            "negative",
+            "Check the black level that was subtracted, or a sharpening filter.",
+        ),
+    ] {
+        let share = count as f64 / all;
+        if share > 0.01 {
+            let message = format!("{} of the pixels are {what}.", percent(share));
+            findings.add(Severity::Warning, &view.name, message, advice);
+        }
+    }
+}
+
+fn silhouettes(report: &Report, findings: &mut Findings) {
+    const ADVICE: &str =
+        "Check this view's matrix and intrinsics, the mesh's frame, and the mask or alpha.";
+    let known: Vec<(&ViewReport, f64)> = report
+        .views
+        .iter()
+        .filter(|view| view.object_pixels > 0 && !view.inside)
+        .filter_map(|view| Some((view, view.silhouette_iou?)))
+        .collect();
+    for &(view, iou) in known.iter().filter(|(_, iou)| *iou < IOU_FAIR) {
+        let severity = if iou < IOU_HOPELESS {
+            Severity::Error
+        } else {
+            Severity::Warning
+        };
+        let [x, y] = view.silhouette_shift.unwrap_or_default();
+        let message = format!(
+            "Mesh and alpha overlap by only {} (intersection over union); the picture lies {x:+.1}, {y:+.1} pixels (right, \
+             down) from the mesh.",
+            percent(iou)
+        );
+        findings.add(severity, &view.name, message, ADVICE);
+    }
+    let least = known
+        .iter()
+        .map(|(_, iou)| *iou)
+        .fold(f64::INFINITY, f64::min);
+    if known.is_empty() {
+        let message = "No image has alpha or a mask, so that mesh and pictures cannot be compared.";
+        findings.add(
+            Severity::Note,
+            "silhouettes",
+            message,
+            "Add mask_path if the result looks misplaced.",
+        );
+    } else if least >= IOU_FAIR {
+        let message = format!(
+            "Mesh and alpha agree: {} or more in every view.",
+            percent(least)
+        );
+        findings.add(Severity::Ok, "silhouettes", message, "");
+    }
+}
+
+fn exposures(report: &Report, findings: &mut Findings) {
+    let known: Vec<(&ViewReport, f64)> = report
+        .views
+        .iter()
+        .filter_map(|view| Some((view, view.relative_exposure?)))
+        .collect();
+    let odd = |ratio: f64| (ratio - 1.0).abs() > EXPOSURE;
+    for &(view, ratio) in known.iter().filter(|(_, ratio)| odd(*ratio)) {
+        let (times, word) = if ratio > 1.0 {
+            (ratio, "brighter")
+        } else {
+            (1.0 / ratio, "darker")
+        };
+        let message = format!(
+            "The view is {times:.2} times {word} than the others at the same points of the surface."
+        );
+        let advice = "Bring all views to one exposure and white balance: fixed by hand in the camera, or by exposures[].";
+        findings.add(Severity::Warning, &view.name, message, advice);
+    }
+    if !known.is_empty() && !known.iter().any(|(_, ratio)| odd(*ratio)) {
+        let off = known
+            .iter()
+            .map(|(_, ratio)| (ratio - 1.0).abs())
+            .fold(0.0, f64::max);
+        let message = format!("All views have the same exposure, within {}.", percent(off));
+        findings.add(Severity::Ok, "exposure", message, "");
+    }
+}
+
+/// How many views see each point.
+fn coverage(report: &Report, findings: &mut Findings) {
+    let [none, one, two, more] = report.seen_by;
+    if report.views.len() == 1 {
+        let message = "There is one view only: texture and highlights cannot be told apart.";
+        findings.add(
+            Severity::Warning,
+            "views",
+            message,
+            "Take at least three, from directions 20° to 60° apart.",
+        );
+        return;
+    }
+    let several = two + more;
+    if several < 0.02 {
+        let message = "Views have nothing of the surface in common: texture and highlights cannot be told apart.";
+        findings.add(
+            Severity::Warning,
+            "views",
+            message,
+            "Take views that overlap, 20° to 60° apart.",
+        );
+    } else if several < 0.4 {
+        let message = format!(
+            "Only {} of the surface is seen by two views or more.",
+            percent(several)
+        );
+        findings.add(
+            Severity::Warning,
+            "views",
+            message,
+            "Add views between the existing ones.",
+        );
+    } else {
+        let message = format!(
+            "{} of the surface is seen by two views or more.",
+            percent(several)
+        );
+        findings.add(Severity::Ok, "views", message, "");
+    }
+    if none > 0.02 {
+        let message = format!(
+            "{} of the surface is seen by no view and will be filled in.",
+            percent(none)
+        );
+        findings.add(
+            Severity::Note,
+            "views",
+            message,
+            "Add views of these sides if renderings show them.",
+        );
+    }
+    if one > 0.3 {
+        let message = format!(
+            "{} of the surface is seen by one view only: highlights may stay in its texture.",
+            percent(one)
+        );
+        findings.add(
+            Severity::Note,
+            "views",
+            message,
+            "Add views between the existing ones.",
+        );
+    }
+}
+
+fn mesh(report: &Report, findings: &mut Findings) {
+    let mesh = &report.mesh;
+    let edges = mesh.triangles as f64 * 1.5;
+    let mut clean = true;
+    let mut add = |severity, message: String, advice: &str| {
+        clean = false;
+        findings.add(severity, "mesh", message, advice);
+    };
+    if mesh.flipped_edges > 0 {
+        let message = format!(
+            "{} edges join triangles wound against each other.",
+            mesh.flipped_edges
+        );
+        let many = mesh.flipped_edges as f64 > 0.001 * edges;
+        let severity = if many {
+            Severity::Warning
+        } else {
+            Severity::Note
+        };
+        add(
+            severity,
+            message,
+            "Recalculate the normals outside (Blender: Mesh > Normals > Recalculate Outside).",
+        );
+    }
+    if mesh.normals_against_faces > 0.005 {
+        let message = format!(
+            "On {} of the surface a vertex normal points to the back of its triangle.",
+            percent(mesh.normals_against_faces)
+        );
+        add(
+            Severity::Warning,
+            message,
+            "Export the mesh without normals, or recalculate them.",
+        );
+    }
+    if mesh.non_manifold_edges > 0 {
+        let message = format!(
+            "{} edges have three triangles or more.",
+            mesh.non_manifold_edges
+        );
+        add(
+            Severity::Note,
+            message,
+            "Clean up inner and double faces if the shading looks wrong there.",
+        );
+    }
+    if mesh.duplicate_triangles > 0 {
+        let message = format!("{} triangles occur twice.", mesh.duplicate_triangles);
+        add(Severity::Note, message, "Merge doubles.");
+    }
+    if mesh.boundary_edges > 0 {
+        let message = format!(
+            "The surface is open: {} edges have one triangle only.",
+            mesh.boundary_edges
+        );
+        add(
+            Severity::Note,
+            message,
+            "Holes that lights shine through cast no shadow; close them if you can.",
+        );
+    }
+    if mesh.pieces > 1 {
+        let message = format!("The mesh has {} separate pieces.", mesh.pieces);
+        add(
+            Severity::Note,
+            message,
+            "Remove floating bits that a scan left.",
+        );
+    }
+    if clean {
+        findings.add(
+            Severity::Ok,
+            "mesh",
+            "A closed, consistently wound surface of one piece.",
+            "",
+        );
+    }
+}

@@ -1,0 +1,210 @@
+//! Is this capture worth solving? Checks before anyone waits: whether images, cameras and mesh fit together, and what
+//! the data can tell.
+//!
+//! [`Report::new`] measures; `findings` judges the numbers and says what to do. Nothing here changes the capture, and
+//! no finding stops a solve.
+
+mod findings;
+mod mesh;
+mod shared;
+mod view;
+
+pub use mesh::MeshReport;
+pub use view::ViewReport;
+
+use crate::capture::{Capture, PixelCounts};
+use crate::surface::{Occluder, ViewSurface};
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// How much a finding matters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    /// As it should be.
+    Ok,
+    /// Worth knowing.
+    Note,
+    /// The result will suffer.
+    Warning,
+    /// A solve makes no sense before this is put right.
+    Error,
+}
+
+/// One thing found out about a capture.
+#[derive(Clone, Debug, Serialize)]
+pub struct Finding {
+    /// How much it matters.
+    pub severity: Severity,
+    /// What it is about, such as a view's name or "mesh".
+    pub subject: String,
+    /// What was found.
+    pub message: String,
+    /// What to do about it; empty where nothing needs doing.
+    pub advice: String,
+}
+
+/// Everything found out about a capture.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// The capture's name.
+    pub capture: String,
+    /// Unit vector towards the pole of the light hemisphere.
+    pub up: [f64; 3],
+    /// Radius of the light hemisphere in mesh units, none for distant light.
+    pub radius: Option<f64>,
+    /// The mesh.
+    pub mesh: MeshReport,
+    /// One per view.
+    pub views: Vec<ViewReport>,
+    /// Share of the surface's area seen by no view, one, two, and three or more.
+    pub seen_by: [f64; 4],
+    /// Judgements, the worst first.
+    pub findings: Vec<Finding>,
+}
+
+impl Report {
+    /// Checks a capture; `pixels` are the bad pixels counted while loading it, one entry per view.
+    pub fn new(capture: &Capture, pixels: &[PixelCounts]) -> Self {
+        let occluder = Occluder::new(&capture.mesh);
+        let surfaces: Vec<ViewSurface> = capture
+            .views
+            .iter()
+            .map(|view| ViewSurface::new(&capture.mesh, &occluder, &view.camera))
+            .collect();
+        let shared = shared::Shared::new(capture, &surfaces);
+        let views = capture
+            .views
+            .par_iter()
+            .zip(&surfaces)
+            .enumerate()
+            .map(|(i, (view, surface))| {
+                let counts = pixels.get(i).copied().unwrap_or_default();
+                let report = ViewReport::new(view, counts, surface, &capture.mesh, &occluder);
+                ViewReport {
+                    relative_exposure: shared.exposures[i],
+                    ..report
+                }
+            })
+            .collect();
+        let hemisphere = &capture.light_hemisphere;
+        let mut report = Self {
+            capture: capture.name.clone(),
+            up: hemisphere.up.to_array(),
+            radius: hemisphere.radius,
+            mesh: MeshReport::new(&capture.mesh),
+            views,
+            seen_by: shared.seen_by,
+            findings: Vec::new(),
+        };
+        report.findings = findings::judge(&report, &capture.warnings);
+        report
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    /// A capture with known truth of the repository.
+    fn capture() -> (Capture, Vec<PixelCounts>) {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures/spot_paper");
+        Capture::load_counting(&folder).expect("test capture")
+    }
+
+    fn finding<'a>(report: &'a Report, part: &str) -> Option<&'a Finding> {
+        report
+            .findings
+            .iter()
+            .find(|finding| finding.message.contains(part))
+    }
+
+    #[test]
+    fn a_good_capture_has_nothing_to_warn_of() {
+        let (capture, pixels) = capture();
+        let report = Report::new(&capture, &pixels);
+        let worst = report.findings.iter().map(|f| f.severity).max();
+        assert!(worst < Some(Severity::Warning), "{:#?}", report.findings);
+        for view in &report.views {
+            assert!(view.silhouette_iou.expect("alpha") > 0.97, "{view:?}");
+            assert!(
+                (view.relative_exposure.expect("shared points") - 1.0).abs() < 0.05,
+                "{view:?}"
+            );
+            assert!(!view.inside);
+        }
+        assert!((report.seen_by.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_view_of_another_exposure_is_found() {
+        let (mut capture, pixels) = capture();
+        for pixel in &mut capture.views[2].photograph.radiance {
+            *pixel = pixel.map(|v| 1.5 * v);
+        }
+        let report = Report::new(&capture, &pixels);
+        let found = report.views[2].relative_exposure.expect("shared points");
+        assert!((found - 1.5).abs() < 0.1, "{found}");
+        let finding = finding(&report, "brighter").expect("a finding");
+        assert_eq!(
+            (finding.severity, finding.subject.as_str()),
+            (Severity::Warning, report.views[2].name.as_str())
+        );
+    }
+
+    #[test]
+    fn cameras_that_do_not_fit_are_found() {
+        let (mut capture, pixels) = capture();
+        let centre = capture.mesh.centre().as_dvec3();
+        // One camera in the object, one looking away, one turned a little.
+        capture.views[0].camera.world_from_camera.translation = centre;
+        let pose = &mut capture.views[1].camera.world_from_camera;
+        pose.matrix3 *= glam::DMat3::from_rotation_y(std::f64::consts::PI);
+        let pose = &mut capture.views[2].camera.world_from_camera;
+        pose.matrix3 *= glam::DMat3::from_rotation_y(0.05);
+        let report = Report::new(&capture, &pixels);
+        let subject = |part: &str| finding(&report, part).map(|f| (f.severity, f.subject.clone()));
+        let name = |i: usize| capture.views[i].name.clone();
+        assert_eq!(subject("inside the mesh"), Some((Severity::Error, name(0))));
+        assert_eq!(
+            subject("sees nothing of the mesh"),
+            Some((Severity::Error, name(1)))
+        );
+        let shifted = report
+            .findings
+            .iter()
+            .find(|f| f.subject == name(2) && f.message.contains("overlap"));
+        assert!(
+            shifted.is_some_and(|f| f.severity >= Severity::Warning),
+            "{:#?}",
+            report.findings
+        );
+    }
+
+    #[test]
+    fn scale_does_not_matter() {
+        let (capture, pixels) = capture();
+        let mut dim = capture.clone();
+        for pixel in dim
+            .views
+            .iter_mut()
+            .flat_map(|view| &mut view.photograph.radiance)
+        {
+            *pixel = pixel.map(|v| v * 2.0_f32.powi(-13));
+        }
+        let (bright, dim) = (Report::new(&capture, &pixels), Report::new(&dim, &pixels));
+        for (a, b) in bright.views.iter().zip(&dim.views) {
+            assert_eq!(a.relative_exposure, b.relative_exposure);
+        }
+    }
+
+    #[test]
+    fn one_view_is_said_to_be_too_few() {
+        let (mut capture, pixels) = capture();
+        capture.views.truncate(1);
+        let report = Report::new(&capture, &pixels);
+        assert!(finding(&report, "one view").is_some_and(|f| f.severity == Severity::Warning));
+        assert_eq!(report.views[0].relative_exposure, None);
+    }
+}
