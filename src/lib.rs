@@ -1,8 +1,11 @@
 //! rekindle relights a captured object.
 
 pub mod capture;
+pub mod cli;
 pub mod estimate;
 pub mod hemisphere;
 pub mod math;
 pub mod preflight;
+pub mod relight;
+pub mod solution;
 pub mod surface;

@@ -1,7 +1,13 @@
 //! The lighting: radiances on the nodes of a geodesic hemisphere.
 
+mod cluster;
 mod grid;
 mod partial;
+mod picture;
 
+pub use cluster::{Lamp, find_lamps, rest};
 pub use grid::HemisphereGrid;
 pub use partial::{InitialHemisphere, PartialHemisphere, SpecularImage};
+pub use picture::{
+    Exposure, Picture, direction_from_lat_long, lat_long, lat_long_from_direction, seen_from_above,
+};

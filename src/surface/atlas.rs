@@ -268,6 +268,24 @@ impl Atlas {
         }
     }
 
+    /// The atlas of a stored mesh, for look-ups only: without its list of texels.
+    pub fn from_corners(
+        width: u32,
+        height: u32,
+        corner_uvs: Vec<[Vec2; 3]>,
+        own_uvs: bool,
+    ) -> Self {
+        Self {
+            width: width.max(1),
+            height: height.max(1),
+            corner_uvs,
+            texels: Vec::new(),
+            own_uvs,
+            warnings: Vec::new(),
+            patches: Vec::new(),
+        }
+    }
+
     fn single_colour(mesh: &Mesh, warnings: Vec<String>) -> Self {
         Self {
             width: 1,

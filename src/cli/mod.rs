@@ -1,0 +1,116 @@
+//! The command line: one file per command. Results go to stdout, progress and warnings to stderr, and every error is
+//! printed here, once.
+
+mod demo;
+mod info;
+mod info_solution;
+mod progress;
+mod render;
+mod solve;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use clap::{Args, Parser, Subcommand};
+
+use crate::solution::remove_unfinished;
+
+/// Exit status for bad input and usage, as clap's own.
+const BAD_INPUT: u8 = 2;
+/// Exit status after Ctrl-C.
+const INTERRUPTED: i32 = 130;
+
+/// Relights a captured object: recovers texture, roughness and lighting from a few HDR photographs.
+///
+/// Without a command, the built-in demo is solved and relit in ./rekindle-demo.
+#[derive(Parser)]
+#[command(name = "rekindle", version)]
+struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// What all commands have in common.
+#[derive(Args, Clone, Copy, Debug)]
+struct OutputArgs {
+    /// No progress and no warnings
+    #[arg(long, global = true)]
+    quiet: bool,
+    /// Print one JSON object on stdout at the end
+    #[arg(long, global = true)]
+    json: bool,
+    /// Number of threads (default: one per core)
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Recover texture, roughness and lighting of a capture
+    Solve(solve::SolveArgs),
+    /// Render a solution from other viewpoints and under other light
+    Render(render::RenderArgs),
+    /// Say what is in a capture or a solution, and what is wrong with it
+    Info {
+        /// Folder of a capture or of a solution
+        path: PathBuf,
+    },
+}
+
+/// Runs the command given by the program's arguments.
+pub fn run() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help and version come this way too and are no errors.
+            let status = if error.use_stderr() { BAD_INPUT } else { 0 };
+            let _ = error.print();
+            return ExitCode::from(status);
+        }
+    };
+    match execute(&cli) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("rekindle: {error:#}");
+            ExitCode::from(BAD_INPUT)
+        }
+    }
+}
+
+fn execute(cli: &Cli) -> anyhow::Result<()> {
+    ctrlc::set_handler(|| {
+        remove_unfinished();
+        std::process::exit(INTERRUPTED);
+    })
+    .context("can't listen for Ctrl-C")?;
+    if let Some(threads) = cli.output.threads {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads.into())
+            .build_global()
+            .context("can't start the threads")?;
+    }
+    match &cli.command {
+        None => demo::run(cli.output),
+        Some(Command::Solve(args)) => solve::run(args, cli.output),
+        Some(Command::Render(args)) => render::run(args, cli.output),
+        Some(Command::Info { path }) if path.join("solution.json").is_file() => {
+            info_solution::run(path, cli.output)
+        }
+        Some(Command::Info { path }) => info::run(path, cli.output.json),
+    }
+}
+
+/// Prints a command's result as one JSON object. A reader that went away is no error.
+fn print_json(value: &serde_json::Value) {
+    use std::io::Write as _;
+    let _ = writeln!(std::io::stdout(), "{value}");
+}
+
+/// Prints a line of a command's result. A reader that went away is no error.
+fn print_line(line: &str) {
+    use std::io::Write as _;
+    let _ = writeln!(std::io::stdout(), "{line}");
+}

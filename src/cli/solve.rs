@@ -1,0 +1,171 @@
+//! `rekindle solve`: from a capture to a solution.
+
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::anyhow;
+use clap::ValueEnum;
+
+use super::progress::Progress;
+use super::{OutputArgs, print_json, print_line};
+use crate::capture::Capture;
+use crate::estimate::{EstimateParams, Iteration, Method, Observer, SpecularChoice, SpecularModel};
+use crate::solution::{Solution, SolveOptions, check_destination, solve};
+
+/// Arguments of `rekindle solve`.
+#[derive(clap::Args)]
+pub(super) struct SolveArgs {
+    /// Folder of the capture, or its transforms.json
+    capture: PathBuf,
+    /// Folder for the solution; one that is there already is replaced at the end
+    #[arg(short, long, value_name = "SOLUTION")]
+    output: PathBuf,
+    #[command(flatten)]
+    options: EstimationArgs,
+}
+
+/// How the estimation is done.
+#[derive(clap::Args)]
+pub(super) struct EstimationArgs {
+    /// How roughness and lights are estimated
+    #[arg(long, value_enum, default_value_t = MethodArg::Fast)]
+    method: MethodArg,
+    /// Form of the specular lobe: the paper's, a microfacet's, or whichever fits
+    #[arg(long, value_enum, default_value_t = SpecularArg::Auto)]
+    specular: SpecularArg,
+    /// Parts into which each edge of the lights' icosahedron is divided
+    #[arg(long, default_value_t = 70, value_parser = clap::value_parser!(u32).range(1..=200))]
+    frequency: u32,
+    /// Distance of the lights from the object's centre, in mesh units (default: what the capture states, or distant)
+    #[arg(long, value_parser = positive)]
+    radius: Option<f32>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum MethodArg {
+    /// Variable projection with the diffuse colours eliminated
+    Fast,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum SpecularArg {
+    /// Fresnel factor and masking constant (eq. 4)
+    Paper,
+    /// Torrance-Sparrow with dielectric Fresnel factor and masking
+    Microfacet,
+    /// Whichever leaves less unexplained
+    Auto,
+}
+
+impl Default for EstimationArgs {
+    fn default() -> Self {
+        Self {
+            method: MethodArg::Fast,
+            specular: SpecularArg::Auto,
+            frequency: 70,
+            radius: None,
+        }
+    }
+}
+
+impl EstimationArgs {
+    fn options(&self) -> SolveOptions {
+        SolveOptions {
+            estimate: EstimateParams {
+                method: match self.method {
+                    MethodArg::Fast => Method::Fast,
+                },
+                specular: match self.specular {
+                    SpecularArg::Paper => SpecularChoice::Model(SpecularModel::Paper),
+                    SpecularArg::Microfacet => SpecularChoice::Model(SpecularModel::Microfacet),
+                    SpecularArg::Auto => SpecularChoice::Auto,
+                },
+            },
+            frequency: self.frequency,
+            radius: self.radius,
+        }
+    }
+}
+
+fn positive(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
+        _ => Err("it must be a number greater than 0".to_owned()),
+    }
+}
+
+/// Shows a solve's progress. Ctrl-C ends the whole process, so it never stops a solve.
+struct Shown<'a>(&'a mut Progress);
+
+impl Observer for Shown<'_> {
+    fn progress(&mut self, what: &str, fraction: f32) -> ControlFlow<()> {
+        self.0.stage(what, fraction);
+        ControlFlow::Continue(())
+    }
+
+    fn iteration(&mut self, _: &Iteration, _: &dyn Fn() -> Vec<[f32; 3]>) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+}
+
+pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
+    check_destination(&args.output)?;
+    let mut progress = Progress::new(output);
+    progress.stage("reading the capture", 0.0);
+    let started = Instant::now();
+    let capture = Capture::load(&args.capture)?;
+    let load_s = started.elapsed().as_secs_f64();
+    let solution = solve_capture(&capture, load_s, &args.options, &mut progress)?;
+    progress.stage("writing the solution", 0.97);
+    let timings = solution.save(&args.output)?;
+    progress.finish();
+    if output.json {
+        let mut summary = solution.summary();
+        if let Some(object) = summary.as_object_mut() {
+            let seconds: serde_json::Map<_, _> = timings
+                .into_iter()
+                .map(|(stage, s)| (stage, s.into()))
+                .collect();
+            object.insert("timings_s".to_owned(), seconds.into());
+            let path = args.output.to_string_lossy().into_owned();
+            object.insert("solution".to_owned(), path.into());
+        }
+        print_json(&summary);
+    } else if !output.quiet {
+        print_line(&describe(&solution));
+    }
+    Ok(())
+}
+
+/// Solves a capture, with progress and warnings.
+pub(super) fn solve_capture(
+    capture: &Capture,
+    load_s: f64,
+    options: &EstimationArgs,
+    progress: &mut Progress,
+) -> anyhow::Result<Solution> {
+    let solution = solve(capture, &options.options(), load_s, &mut Shown(progress))
+        .map_err(|_| anyhow!("the solve was stopped"))?;
+    for warning in &solution.diagnostics.warnings {
+        progress.warn(warning);
+    }
+    Ok(solution)
+}
+
+/// What was found, in a line.
+pub(super) fn describe(solution: &Solution) -> String {
+    match solution.brdf {
+        Some(brdf) => format!(
+            "{}: roughness σ {:.4}, {} light{}",
+            solution.name,
+            brdf.sigma,
+            solution.lamps.len(),
+            if solution.lamps.len() == 1 { "" } else { "s" }
+        ),
+        None => format!(
+            "{}: no specular part was found; the solution holds the diffuse texture only",
+            solution.name
+        ),
+    }
+}

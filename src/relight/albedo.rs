@@ -1,0 +1,329 @@
+//! The pseudo-albedo: diffuse radiance ÷ irradiance under the light of the capture (eq. 20), so that the new diffuse
+//! radiance is pseudo-albedo × new irradiance (eq. 18–19).
+//!
+//! Where no estimated light reaches the surface, or no view saw it, there is nothing to divide: such texels are filled
+//! from their surroundings by diffusion over the mesh, and the confidence says so.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::diffuse::DiffuseTexture;
+use super::render::Scene;
+use super::shading::{Shader, ShadingPoint, Visibility};
+use crate::surface::Atlas;
+
+/// Texels along each side of a tile, the unit of work.
+const TILE: usize = 32;
+/// Irradiance below this part of the typical one says nothing about the albedo …
+const DARK: f32 = 0.01;
+/// … and above this part says all.
+const LIT: f32 = 0.06;
+/// Texels less confident than this count as never seen.
+const SEEN: f32 = 0.01;
+/// Rounds of diffusion at most: each carries values one edge further.
+const MAX_ROUNDS: usize = 400;
+
+/// The albedo and what it was made from.
+#[derive(Clone, Debug)]
+pub struct Albedo {
+    /// Pseudo-albedo of each texel, RGB; with `K_S`-scaled light its scale is that of K_D / K_S.
+    pub albedo: Vec<[f32; 3]>,
+    /// Irradiance of each texel under the light of the capture.
+    pub irradiance: Vec<[f32; 3]>,
+    /// Ambient radiance, RGB, K_S-scaled.
+    pub ambient: Vec3,
+}
+
+/// Divides the texture by its irradiance, fills what is unknown, and lets `texture` follow: unseen texels get filled
+/// albedo × own irradiance, and the confidence of filled ones is lowered.
+pub fn separate(
+    scene: &Scene,
+    atlas: &Atlas,
+    shader: &Shader,
+    texture: &mut DiffuseTexture,
+) -> Albedo {
+    let irradiance = texel_irradiance(scene, atlas, shader);
+    let typical = typical_irradiance(atlas, &irradiance);
+    let texels = texture.radiance.len();
+    let mut albedo = vec![Vec3::ZERO; texels];
+    // How far the quotient is known, 0 to 1.
+    let mut known = vec![0.0_f32; texels];
+    for texel in &atlas.texels {
+        let t = texel.index as usize;
+        if texture.confidence[t] < SEEN {
+            continue;
+        }
+        let light = irradiance[t].min_element();
+        let part = ((light / typical - DARK) / (LIT - DARK)).clamp(0.0, 1.0);
+        if part > 0.0 {
+            albedo[t] = Vec3::from(texture.radiance[t]) / irradiance[t];
+            known[t] = part * part * (3.0 - 2.0 * part);
+        }
+    }
+    let filled = fill(scene, atlas, &albedo, &known, &texture.confidence);
+    for (texel, fill) in atlas.texels.iter().zip(filled) {
+        let t = texel.index as usize;
+        albedo[t] = albedo[t] * known[t] + fill * (1.0 - known[t]);
+        if texture.confidence[t] < SEEN {
+            texture.radiance[t] = (albedo[t] * irradiance[t]).to_array();
+            texture.confidence[t] = 0.0;
+        } else {
+            texture.confidence[t] *= 0.5 + 0.5 * known[t];
+        }
+    }
+    Albedo {
+        albedo: albedo.iter().map(Vec3::to_array).collect(),
+        irradiance: irradiance.iter().map(Vec3::to_array).collect(),
+        ambient: Vec3::ZERO,
+    }
+}
+
+/// Irradiance of every texel, zero outside the atlas.
+fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Vec3> {
+    let (width, height) = (atlas.width as usize, atlas.height as usize);
+    let mut points: Vec<Option<ShadingPoint>> = vec![None; width * height];
+    let shading_points: Vec<(u32, ShadingPoint)> = atlas
+        .texels
+        .par_iter()
+        .map(|texel| {
+            let point = scene.mesh.point(texel.triangle, texel.barycentric);
+            let face_normal = scene.mesh.face_normal(texel.triangle);
+            (
+                texel.index,
+                ShadingPoint {
+                    position: point.position,
+                    normal: point.normal,
+                    face_normal: if face_normal == Vec3::ZERO {
+                        point.normal
+                    } else {
+                        face_normal
+                    },
+                },
+            )
+        })
+        .collect();
+    for (index, point) in shading_points {
+        points[index as usize] = Some(point);
+    }
+    let spacing = texel_spacing(scene, atlas);
+    let columns = width.div_ceil(TILE);
+    let tiles: Vec<Vec<Vec3>> = (0..columns * height.div_ceil(TILE))
+        .into_par_iter()
+        .map(|tile| {
+            let (x, y) = (tile % columns * TILE, tile / columns * TILE);
+            let (w, h) = (TILE.min(width - x), TILE.min(height - y));
+            let local: Vec<Option<ShadingPoint>> = (y..y + h)
+                .flat_map(|row| points[row * width + x..row * width + x + w].iter().copied())
+                .collect();
+            if local.iter().all(Option::is_none) {
+                return vec![Vec3::ZERO; w * h];
+            }
+            let groups = shader.groups();
+            let seen: Vec<Visibility> = shader.visibility(&local, w, spacing, &|_, _| true);
+            local
+                .iter()
+                .enumerate()
+                .map(|(i, point)| {
+                    point.as_ref().map_or(Vec3::ZERO, |p| {
+                        shader.irradiance(p, &seen[i * groups..(i + 1) * groups])
+                    })
+                })
+                .collect()
+        })
+        .collect();
+    let mut irradiance = vec![Vec3::ZERO; width * height];
+    for (tile, values) in tiles.iter().enumerate() {
+        let (x, y) = (tile % columns * TILE, tile / columns * TILE);
+        let w = TILE.min(width - x);
+        for (row, line) in values.chunks(w).enumerate() {
+            let start = (y + row) * width + x;
+            irradiance[start..start + w].copy_from_slice(line);
+        }
+    }
+    irradiance
+}
+
+/// Mean distance of neighbouring texels on the surface.
+fn texel_spacing(scene: &Scene, atlas: &Atlas) -> f32 {
+    let area: f64 = (0..scene.mesh.triangles.len() as u32)
+        .map(|t| {
+            let [a, b, c] = scene.mesh.corners(t);
+            0.5 * f64::from((b - a).cross(c - a).length())
+        })
+        .sum();
+    let inside = atlas.texels.iter().filter(|t| !t.gutter).count();
+    (area / inside.max(1) as f64).sqrt() as f32
+}
+
+/// Mean over channels of the 90th percentile of irradiance: that of a well-lit place.
+fn typical_irradiance(atlas: &Atlas, irradiance: &[Vec3]) -> f32 {
+    let mut values: Vec<f32> = atlas
+        .texels
+        .iter()
+        .filter(|t| !t.gutter)
+        .map(|t| irradiance[t.index as usize].element_sum() / 3.0)
+        .collect();
+    if values.is_empty() {
+        return 1.0;
+    }
+    let at = (values.len() - 1) * 9 / 10;
+    values
+        .select_nth_unstable_by(at, f32::total_cmp)
+        .1
+        .max(f32::MIN_POSITIVE)
+}
+
+/// For every entry of `atlas.texels`, what its surroundings say about its albedo: known values are gathered at the
+/// vertices, spread over the mesh's edges to those without, and interpolated.
+fn fill(
+    scene: &Scene,
+    atlas: &Atlas,
+    albedo: &[Vec3],
+    known: &[f32],
+    confidence: &[f32],
+) -> Vec<Vec3> {
+    let mesh = scene.mesh;
+    // Vertices at one place are one, whatever their normals and texture coordinates.
+    let welded = weld(&mesh.positions);
+    let places = welded.iter().map(|&w| w as usize + 1).max().unwrap_or(0);
+    let mut sum = vec![glam::DVec3::ZERO; places];
+    let mut weight = vec![0.0_f64; places];
+    let (mut all, mut all_weight) = (glam::DVec3::ZERO, 0.0);
+    for texel in atlas.texels.iter().filter(|t| !t.gutter) {
+        let t = texel.index as usize;
+        let w = f64::from(known[t] * confidence[t]);
+        if w == 0.0 {
+            continue;
+        }
+        let value = albedo[t].as_dvec3();
+        all += value * w;
+        all_weight += w;
+        let (u, v) = (texel.barycentric.x, texel.barycentric.y);
+        let corners = mesh.triangles[texel.triangle as usize];
+        for (corner, share) in corners.into_iter().zip([1.0 - u - v, u, v]) {
+            let place = welded[corner as usize] as usize;
+            let w = w * f64::from(share.max(0.0));
+            sum[place] += value * w;
+            weight[place] += w;
+        }
+    }
+    let mean = if all_weight > 0.0 {
+        all / all_weight
+    } else {
+        glam::DVec3::ZERO
+    };
+    let mut value: Vec<Option<Vec3>> = (0..places)
+        .map(|p| (weight[p] > 1e-6).then(|| (sum[p] / weight[p]).as_vec3()))
+        .collect();
+    let fixed: Vec<bool> = value.iter().map(Option::is_some).collect();
+    diffuse_over_edges(&neighbours(mesh, &welded, places), &mut value, &fixed);
+    atlas
+        .texels
+        .par_iter()
+        .map(|texel| {
+            let (u, v) = (
+                texel.barycentric.x.clamp(0.0, 1.0),
+                texel.barycentric.y.clamp(0.0, 1.0),
+            );
+            let corners = mesh.triangles[texel.triangle as usize];
+            let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+            for (corner, share) in corners.into_iter().zip([(1.0 - u - v).max(0.0), u, v]) {
+                if let Some(value) = value[welded[corner as usize] as usize] {
+                    sum += value * share;
+                    total += share;
+                }
+            }
+            if total > 1e-6 {
+                sum / total
+            } else {
+                mean.as_vec3()
+            }
+        })
+        .collect()
+}
+
+/// For every vertex the number of its place: equal positions have equal numbers.
+fn weld(positions: &[Vec3]) -> Vec<u32> {
+    let bits = |p: &Vec3| p.to_array().map(|c| (c + 0.0).to_bits());
+    let mut order: Vec<u32> = (0..positions.len() as u32).collect();
+    order.par_sort_unstable_by_key(|&i| (bits(&positions[i as usize]), i));
+    let mut place = vec![0; positions.len()];
+    let mut next = 0;
+    for pair in 0..order.len() {
+        if pair > 0
+            && bits(&positions[order[pair] as usize]) != bits(&positions[order[pair - 1] as usize])
+        {
+            next += 1;
+        }
+        place[order[pair] as usize] = next;
+    }
+    place
+}
+
+/// Places joined by an edge, in compressed rows.
+fn neighbours(mesh: &crate::capture::Mesh, welded: &[u32], places: usize) -> (Vec<u32>, Vec<u32>) {
+    let mut edges: Vec<(u32, u32)> = Vec::with_capacity(6 * mesh.triangles.len());
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|v| welded[v as usize]);
+        edges.extend([(a, b), (b, a), (b, c), (c, b), (c, a), (a, c)]);
+    }
+    edges.par_sort_unstable();
+    edges.dedup();
+    let mut starts = vec![0_u32; places + 1];
+    for &(from, _) in &edges {
+        starts[from as usize + 1] += 1;
+    }
+    for i in 0..places {
+        starts[i + 1] += starts[i];
+    }
+    (starts, edges.into_iter().map(|(_, to)| to).collect())
+}
+
+/// Spreads values from the fixed places: first outwards, ring by ring, then smoothed towards the mean of neighbours.
+fn diffuse_over_edges(
+    (starts, list): &(Vec<u32>, Vec<u32>),
+    value: &mut Vec<Option<Vec3>>,
+    fixed: &[bool],
+) {
+    let around = |p: usize| &list[starts[p] as usize..starts[p + 1] as usize];
+    let mean = |value: &[Option<Vec3>], p: usize| {
+        let known: Vec<Vec3> = around(p)
+            .iter()
+            .filter_map(|&n| value[n as usize])
+            .collect();
+        (!known.is_empty()).then(|| known.iter().sum::<Vec3>() / known.len() as f32)
+    };
+    let mut open: Vec<u32> = (0..value.len() as u32)
+        .filter(|&p| !fixed[p as usize])
+        .collect();
+    let free = open.clone();
+    while !open.is_empty() {
+        let reached: Vec<(u32, Vec3)> = open
+            .par_iter()
+            .filter_map(|&p| mean(value, p as usize).map(|v| (p, v)))
+            .collect();
+        if reached.is_empty() {
+            // What is left hangs together with nothing known.
+            break;
+        }
+        for (p, v) in reached {
+            value[p as usize] = Some(v);
+        }
+        open.retain(|&p| value[p as usize].is_none());
+    }
+    for _ in 0..MAX_ROUNDS {
+        let smoothed: Vec<Option<Vec3>> =
+            free.par_iter().map(|&p| mean(value, p as usize)).collect();
+        let mut change = 0.0_f32;
+        for (&p, v) in free.iter().zip(smoothed) {
+            let old = value[p as usize];
+            if let (Some(new), Some(old)) = (v, old) {
+                change = change.max((new - old).abs().max_element() / old.max_element().max(1e-30));
+            }
+            value[p as usize] = v.or(old);
+        }
+        if change < 1e-3 {
+            break;
+        }
+    }
+}

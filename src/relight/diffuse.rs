@@ -1,0 +1,407 @@
+//! The diffuse texture from all views, given the specular part.
+//!
+//! A pixel's diffuse radiance is what it measured minus its specular radiance, and is the mean over the pixel's area of
+//! the texture times the transmittance towards the viewer. Written for all pixels of all views, d = F t with t the
+//! texels and F the weights of box filter and bilinear look-up. It is solved by SIRT (simultaneous iterative
+//! reconstruction: Gilbert 1972): t += Fᵀ W (d − F t), rows and columns normalised, starting from the weighted mean.
+//! A few iterations sharpen the texture to what the pixels resolve; stopping there keeps noise down.
+//!
+//! Pixels weigh less the stronger the highlight that was subtracted, at grazing views and where they mix surfaces;
+//! between iterations those that disagree with the other views (interreflection, bad geometry) lose their weight.
+
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::render::{Scene, specular_band};
+use super::samples::{Samples, bands};
+use super::shading::Shader;
+use crate::capture::View;
+use crate::surface::Atlas;
+
+/// Sub-samples of all views together: the more pixels, the fewer each has.
+const MAX_SAMPLES: usize = 24 << 20;
+/// Rounds of back-projection.
+const ITERATIONS: usize = 6;
+/// Step of each: SIRT converges below 2.
+const RELAXATION: f32 = 1.4;
+/// Part of the specular radiance that is taken for its standard error.
+const SPECULAR_ERROR: f32 = 0.02;
+/// Standard error of a pixel as a part of the typical diffuse radiance.
+const BASE_ERROR: f32 = 0.01;
+/// Weight of pixels that mix several surfaces or the background.
+const MIXED_WEIGHT: f32 = 0.05;
+/// Residuals beyond this many standard deviations lose their weight (Tukey's biweight).
+const OUTLIER: f32 = 6.0;
+/// Views share this many accumulators, so that memory does not grow with their number.
+const ACCUMULATORS: usize = 8;
+/// Weight, in fully trusted pixels, at which a texel's confidence is one half.
+const HALF_CONFIDENCE: f32 = 0.1;
+
+/// A texture with what is known of each texel.
+#[derive(Clone, Debug)]
+pub struct DiffuseTexture {
+    /// Diffuse radiance leaving the surface towards normal incidence, RGB; zero where nothing was seen.
+    pub radiance: Vec<[f32; 3]>,
+    /// How far each texel is known, from 0 (never seen) to 1.
+    pub confidence: Vec<f32>,
+    /// Per view, mean squared difference of the re-rendered view over pixels the object covers, and the same in dB
+    /// against the view's brightest percent.
+    pub fit: Vec<ViewFit>,
+}
+
+/// How well a view is reproduced.
+#[derive(Clone, Copy, Debug)]
+pub struct ViewFit {
+    /// Sum over pixels and channels of squared differences of radiance.
+    pub squared: f64,
+    /// Number of channel values in the sum.
+    pub count: usize,
+    /// PSNR of sRGB-encoded values, white at the view's 99.5th percentile of mean RGB, dB.
+    pub psnr_db: f32,
+}
+
+/// A view prepared for reconstruction: only the pixels that the surface covers.
+struct Footprints {
+    /// Index of each pixel in the photograph.
+    pixels: Vec<u32>,
+    /// Taps of pixel `i` are `taps[starts[i]..starts[i + 1]]`.
+    starts: Vec<u32>,
+    /// Texture coordinates of sub-samples, in texels.
+    taps: Vec<Vec2>,
+    /// Factor of every tap: transmittance towards the viewer / sub-samples of a whole pixel.
+    scale: Vec<f32>,
+    /// What was measured, minus the specular part.
+    target: Vec<Vec3>,
+    /// Specular radiance of each pixel.
+    specular: Vec<Vec3>,
+    /// Confidence in the target, 0 to 1.
+    weight: Vec<f32>,
+}
+
+/// Sums per texel.
+struct Accumulator {
+    sum: Vec<Vec3>,
+    weight: Vec<f32>,
+}
+
+/// Estimates the texture. `shader` holds the lighting under which the views were taken.
+pub fn reconstruct(
+    scene: &Scene,
+    views: &[View],
+    atlas: &Atlas,
+    shader: &Shader,
+) -> DiffuseTexture {
+    let factor = sampling_factor(views);
+    let typical = typical_radiance(views);
+    let mut footprints: Vec<Footprints> = views
+        .iter()
+        .map(|view| Footprints::trace(scene, view, atlas, shader, factor, typical))
+        .collect();
+    let texels = (atlas.width * atlas.height) as usize;
+    let size = [atlas.width as usize, atlas.height as usize];
+
+    let start = scatter(&footprints, size, |view, i| {
+        let f = &footprints[view];
+        let covered = f.scale[i] * f.taps_of(i).len() as f32;
+        f.target[i] / covered.max(1e-6)
+    });
+    let mut texture: Vec<Vec3> = start
+        .sum
+        .par_iter()
+        .zip(&start.weight)
+        .map(|(&sum, &w)| {
+            if w > 0.0 {
+                (sum / w).max(Vec3::ZERO)
+            } else {
+                Vec3::ZERO
+            }
+        })
+        .collect();
+    for iteration in 0..ITERATIONS {
+        let residuals: Vec<Vec<Vec3>> = footprints
+            .iter()
+            .map(|f| f.residuals(&texture, size))
+            .collect();
+        if iteration == 1 {
+            for (f, r) in footprints.iter_mut().zip(&residuals) {
+                f.distrust_outliers(r, typical);
+            }
+        }
+        let update = scatter(&footprints, size, |view, i| {
+            let f = &footprints[view];
+            let covered = f.scale[i] * f.taps_of(i).len() as f32;
+            residuals[view][i] / covered.max(1e-6)
+        });
+        texture.par_iter_mut().enumerate().for_each(|(t, value)| {
+            if update.weight[t] > 0.0 {
+                let step = update.sum[t] * (RELAXATION / update.weight[t]);
+                *value = (*value + step).max(Vec3::ZERO);
+            }
+        });
+    }
+    let fit = footprints
+        .iter()
+        .zip(views)
+        .map(|(f, view)| f.fit(view, &texture, size))
+        .collect();
+    let confidence = (0..texels)
+        .into_par_iter()
+        .map(|t| start.weight[t] / (start.weight[t] + HALF_CONFIDENCE))
+        .collect();
+    DiffuseTexture {
+        radiance: texture.iter().map(Vec3::to_array).collect(),
+        confidence,
+        fit,
+    }
+}
+
+/// Sub-samples along a pixel's side that keep all views within memory.
+fn sampling_factor(views: &[View]) -> u32 {
+    let pixels: usize = views
+        .iter()
+        .map(|v| (v.camera.width * v.camera.height) as usize / 3)
+        .sum();
+    (1..=3)
+        .rev()
+        .find(|f| pixels * (f * f) as usize <= MAX_SAMPLES)
+        .unwrap_or(1)
+}
+
+/// Median over all views of the positive mean-RGB radiances.
+fn typical_radiance(views: &[View]) -> f32 {
+    let mut values: Vec<f32> = views
+        .iter()
+        .flat_map(|v| v.photograph.radiance.iter().zip(&v.photograph.usable))
+        .filter(|(_, usable)| **usable)
+        .map(|(p, _)| p.iter().sum::<f32>() / 3.0)
+        .filter(|&m| m > 0.0)
+        .collect();
+    if values.is_empty() {
+        return 1.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+/// The four texels around a texture coordinate with their bilinear weights.
+#[inline]
+fn bilinear(at: Vec2, size: [usize; 2]) -> [(usize, f32); 4] {
+    let limit = Vec2::new(size[0] as f32 - 1.0, size[1] as f32 - 1.0);
+    let at = (at - 0.5).clamp(Vec2::ZERO, limit);
+    let low = at.floor();
+    let t = at - low;
+    let (x0, y0) = (low.x as usize, low.y as usize);
+    let (x1, y1) = ((x0 + 1).min(size[0] - 1), (y0 + 1).min(size[1] - 1));
+    let (row0, row1) = (y0 * size[0], y1 * size[0]);
+    [
+        (row0 + x0, (1.0 - t.x) * (1.0 - t.y)),
+        (row0 + x1, t.x * (1.0 - t.y)),
+        (row1 + x0, (1.0 - t.x) * t.y),
+        (row1 + x1, t.x * t.y),
+    ]
+}
+
+/// Σ weight × value and Σ weight over the taps of all pixels that touch each texel. The order of all sums is fixed.
+fn scatter(
+    footprints: &[Footprints],
+    size: [usize; 2],
+    value: impl Fn(usize, usize) -> Vec3 + Sync,
+) -> Accumulator {
+    let texels = size[0] * size[1];
+    let lanes = footprints.len().min(ACCUMULATORS);
+    let parts: Vec<Accumulator> = (0..lanes)
+        .into_par_iter()
+        .map(|lane| {
+            let mut part = Accumulator {
+                sum: vec![Vec3::ZERO; texels],
+                weight: vec![0.0; texels],
+            };
+            for view in (lane..footprints.len()).step_by(lanes) {
+                let f = &footprints[view];
+                for i in (0..f.pixels.len()).filter(|&i| f.weight[i] > 0.0) {
+                    let (v, w) = (value(view, i), f.weight[i] * f.scale[i]);
+                    for &tap in f.taps_of(i) {
+                        for (texel, share) in bilinear(tap, size) {
+                            let share = share * w;
+                            part.sum[texel] += share * v;
+                            part.weight[texel] += share;
+                        }
+                    }
+                }
+            }
+            part
+        })
+        .collect();
+    let mut total = Accumulator {
+        sum: vec![Vec3::ZERO; texels],
+        weight: vec![0.0; texels],
+    };
+    total
+        .sum
+        .par_iter_mut()
+        .zip(&mut total.weight)
+        .enumerate()
+        .for_each(|(t, (sum, weight))| {
+            for part in &parts {
+                *sum += part.sum[t];
+                *weight += part.weight[t];
+            }
+        });
+    total
+}
+
+impl Footprints {
+    fn trace(
+        scene: &Scene,
+        view: &View,
+        atlas: &Atlas,
+        shader: &Shader,
+        factor: u32,
+        typical: f32,
+    ) -> Self {
+        let (camera, photograph) = (&view.camera, &view.photograph);
+        let eye = camera.position().as_vec3();
+        let mut all = Self {
+            pixels: Vec::new(),
+            starts: vec![0],
+            taps: Vec::new(),
+            scale: Vec::new(),
+            target: Vec::new(),
+            specular: Vec::new(),
+            weight: Vec::new(),
+        };
+        for rows in bands(camera, factor) {
+            let samples = Samples::trace(scene.mesh, scene.occluder, camera, rows, factor);
+            let specular = specular_band(scene, camera, shader, &samples);
+            let first = samples.rows.start * samples.width;
+            for (index, &specular) in specular.iter().enumerate() {
+                let pixel = first + index;
+                let covered = samples.of(index);
+                if covered.is_empty() || !photograph.usable[pixel] {
+                    continue;
+                }
+                let middle = &covered[covered.len() / 2];
+                let point = scene.mesh.point(middle.triangle, middle.barycentric);
+                let cos_view = point.normal.dot((eye - point.position).normalize_or_zero());
+                let through = scene
+                    .brdf
+                    .map_or(1.0, |b| b.diffuse_transmittance(cos_view));
+                all.pixels.push(pixel as u32);
+                for s in covered {
+                    let [a, b, c] = atlas.corner_uvs[s.triangle as usize];
+                    let (u, v) = (s.barycentric.x, s.barycentric.y);
+                    all.taps.push(a * (1.0 - u - v) + b * u + c * v);
+                }
+                all.starts.push(all.taps.len() as u32);
+                all.scale.push(through / samples.full() as f32);
+                all.target
+                    .push(Vec3::from(photograph.radiance[pixel]) - specular);
+                all.specular.push(specular);
+                let error = (BASE_ERROR * typical).hypot(SPECULAR_ERROR * specular.max_element());
+                let whole = covered.len() == samples.full()
+                    && photograph
+                        .coverage
+                        .as_ref()
+                        .is_none_or(|c| c[pixel] > 0.999);
+                let trust = if whole { 1.0 } else { MIXED_WEIGHT };
+                all.weight.push(
+                    trust * cos_view.clamp(0.02, 1.0) * (BASE_ERROR * typical / error).powi(2),
+                );
+            }
+        }
+        all
+    }
+
+    fn taps_of(&self, i: usize) -> &[Vec2] {
+        &self.taps[self.starts[i] as usize..self.starts[i + 1] as usize]
+    }
+
+    /// Diffuse radiance of a pixel under a texture.
+    fn predict(&self, i: usize, texture: &[Vec3], size: [usize; 2]) -> Vec3 {
+        let mut sum = Vec3::ZERO;
+        for &tap in self.taps_of(i) {
+            for (texel, share) in bilinear(tap, size) {
+                sum += texture[texel] * share;
+            }
+        }
+        sum * self.scale[i]
+    }
+
+    fn residuals(&self, texture: &[Vec3], size: [usize; 2]) -> Vec<Vec3> {
+        (0..self.pixels.len())
+            .into_par_iter()
+            .map(|i| self.target[i] - self.predict(i, texture, size))
+            .collect()
+    }
+
+    /// Takes weight from pixels whose residual is far outside the common run.
+    fn distrust_outliers(&mut self, residuals: &[Vec3], typical: f32) {
+        let mut sizes: Vec<f32> = residuals
+            .iter()
+            .zip(&self.weight)
+            .filter(|(_, w)| **w > 0.1)
+            .map(|(r, _)| r.abs().max_element())
+            .collect();
+        if sizes.len() < 16 {
+            return;
+        }
+        let middle = sizes.len() / 2;
+        let spread = 1.4826 * *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
+        for (i, r) in residuals.iter().enumerate() {
+            let specular = SPECULAR_ERROR * self.specular[i].max_element();
+            let scale = OUTLIER * (spread.max(BASE_ERROR * typical) + specular);
+            let part = 1.0 - (r.abs().max_element() / scale).powi(2);
+            // Never to nothing: a point that one view alone saw keeps what it has.
+            self.weight[i] *= part.max(0.0).powi(2).max(1e-3);
+        }
+    }
+
+    fn fit(&self, view: &View, texture: &[Vec3], size: [usize; 2]) -> ViewFit {
+        let coverage = view.photograph.coverage.as_deref();
+        let measured: Vec<Vec3> = (0..self.pixels.len())
+            .map(|i| Vec3::from(view.photograph.radiance[self.pixels[i] as usize]))
+            .collect();
+        let inside: Vec<usize> = (0..self.pixels.len())
+            .filter(|&i| coverage.is_none_or(|c| c[self.pixels[i] as usize] > 0.999))
+            .collect();
+        let mut means: Vec<f32> = inside
+            .iter()
+            .map(|&i| measured[i].element_sum() / 3.0)
+            .collect();
+        let white = if means.is_empty() {
+            1.0
+        } else {
+            let at = (means.len() - 1) * 199 / 200;
+            means
+                .select_nth_unstable_by(at, f32::total_cmp)
+                .1
+                .max(1e-30)
+        };
+        let (mut squared, mut encoded) = (0.0_f64, 0.0_f64);
+        for &i in &inside {
+            let rendered = self.predict(i, texture, size) + self.specular[i];
+            squared += f64::from((rendered - measured[i]).length_squared());
+            let difference = srgb(rendered / white) - srgb(measured[i] / white);
+            encoded += f64::from(difference.length_squared());
+        }
+        let count = 3 * inside.len();
+        ViewFit {
+            squared,
+            count,
+            psnr_db: (-10.0 * (encoded / count.max(1) as f64).max(1e-12).log10()) as f32,
+        }
+    }
+}
+
+/// sRGB encoding of linear values, clamped to [0, 1].
+pub fn srgb(linear: Vec3) -> Vec3 {
+    let encode = |v: f32| {
+        let v = v.clamp(0.0, 1.0);
+        if v <= 0.003_130_8 {
+            12.92 * v
+        } else {
+            1.055 * v.powf(1.0 / 2.4) - 0.055
+        }
+    };
+    Vec3::new(encode(linear.x), encode(linear.y), encode(linear.z))
+}

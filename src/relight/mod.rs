@@ -1,0 +1,20 @@
+//! New light on the object: lighting and its edits, shading, the textures that relighting needs, and the reference
+//! renderer.
+
+mod albedo;
+mod diffuse;
+mod edits;
+mod environment;
+mod lighting;
+mod render;
+mod samples;
+mod shading;
+
+pub use albedo::{Albedo, separate};
+pub use diffuse::{DiffuseTexture, ViewFit, reconstruct, srgb};
+pub use edits::{Edit, EditError, apply, load};
+pub use environment::LatLong;
+pub use lighting::{LampNodes, LightNode, Lighting};
+pub use render::{Diffuse, Picture, Scene, render};
+pub use samples::{Sample, Samples};
+pub use shading::{Shade, Shader, ShadingPoint, Visibility};

@@ -1,0 +1,451 @@
+//! The reference renderer: any camera, any lighting, on the CPU.
+//!
+//! A pixel is the mean over its area before a black background. The diffuse texture is read at every sub-sample; specular
+//! radiance and irradiance vary slowly, so they are computed once for all sub-samples of a pixel that lie on one
+//! smooth piece of surface, and for each quarter of the pixel where a shadow's edge passes.
+
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::samples::{Sample, Samples, bands};
+use super::shading::{Shade, Shader, ShadingPoint, Visibility};
+use crate::capture::{Camera, Mesh};
+use crate::estimate::Brdf;
+use crate::surface::{Atlas, Occluder};
+
+/// Sub-samples along each side of a pixel.
+const FACTOR: u32 = 4;
+/// Pixels along each side of a tile, the unit of work.
+const TILE: usize = 32;
+/// Neighbouring pixels whose seen part of a lamp differs by more have a shadow's edge between them.
+const EDGE_SHARE: f32 = 0.02;
+/// Normals of one smooth piece differ by at most this part of the roughness …
+const PIECE_ROUGHNESS: f32 = 0.4;
+/// … and at most this angle, radians.
+const PIECE_ANGLE: f32 = 0.1;
+
+/// The object as the renderer needs it.
+#[derive(Clone, Copy)]
+pub struct Scene<'a> {
+    /// The surface.
+    pub mesh: &'a Mesh,
+    /// The same mesh's.
+    pub occluder: &'a Occluder,
+    /// The surface's reflection, `None` without a specular part.
+    pub brdf: Option<Brdf>,
+}
+
+/// Where a picture's diffuse part comes from.
+#[derive(Clone, Copy)]
+pub enum Diffuse<'a> {
+    /// There is none.
+    Absent,
+    /// The stored diffuse texture: the light is as it was.
+    Stored(&'a Atlas, &'a [[f32; 3]]),
+    /// Pseudo-albedo × irradiance (eq. 18).
+    Relit(&'a Atlas, &'a [[f32; 3]]),
+}
+
+/// A rendered picture, row by row from the top; linear radiance, premultiplied by coverage.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Part of each pixel that the object covers.
+    pub coverage: Vec<f32>,
+    /// Diffuse part.
+    pub diffuse: Vec<[f32; 3]>,
+    /// Specular part.
+    pub specular: Vec<[f32; 3]>,
+}
+
+/// A pixel's sub-samples on one smooth piece of surface.
+struct Piece {
+    point: ShadingPoint,
+    /// One bit per sub-sample, in the order of the pixel's samples.
+    members: u64,
+}
+
+/// A pixel before it is written.
+#[derive(Clone, Copy, Default)]
+struct Pixel {
+    coverage: f32,
+    diffuse: Vec3,
+    specular: Vec3,
+}
+
+/// Renders a picture.
+pub fn render(scene: &Scene, camera: &Camera, shader: &Shader, diffuse: Diffuse) -> Picture {
+    let mut pixels = Vec::with_capacity((camera.width * camera.height) as usize);
+    for rows in bands(camera, FACTOR) {
+        let samples = Samples::trace(scene.mesh, scene.occluder, camera, rows, FACTOR);
+        pixels.extend(render_band(scene, camera, shader, diffuse, &samples));
+    }
+    Picture {
+        width: camera.width,
+        height: camera.height,
+        coverage: pixels.iter().map(|p| p.coverage).collect(),
+        diffuse: pixels.iter().map(|p| p.diffuse.to_array()).collect(),
+        specular: pixels.iter().map(|p| p.specular.to_array()).collect(),
+    }
+}
+
+/// Specular radiance of the pixels that `samples` cover, premultiplied by coverage.
+pub(super) fn specular_band(
+    scene: &Scene,
+    camera: &Camera,
+    shader: &Shader,
+    samples: &Samples,
+) -> Vec<Vec3> {
+    render_band(scene, camera, shader, Diffuse::Absent, samples)
+        .into_iter()
+        .map(|p| p.specular)
+        .collect()
+}
+
+fn render_band(
+    scene: &Scene,
+    camera: &Camera,
+    shader: &Shader,
+    diffuse: Diffuse,
+    samples: &Samples,
+) -> Vec<Pixel> {
+    let (width, height) = (samples.width, samples.rows.len());
+    let columns = width.div_ceil(TILE);
+    let tiles: Vec<Vec<Pixel>> = (0..columns * height.div_ceil(TILE))
+        .into_par_iter()
+        .map(|tile| {
+            let corner = [tile % columns * TILE, tile / columns * TILE];
+            let size = [TILE.min(width - corner[0]), TILE.min(height - corner[1])];
+            Tile {
+                scene,
+                shader,
+                samples,
+                corner,
+                size,
+                eye: camera.position().as_vec3(),
+                footprint: (1.0 / camera.focal.min_element()) as f32,
+            }
+            .render(diffuse)
+        })
+        .collect();
+    let mut band = vec![Pixel::default(); width * height];
+    for (index, tile) in tiles.iter().enumerate() {
+        let (x, y) = (index % columns * TILE, index / columns * TILE);
+        let tile_width = TILE.min(width - x);
+        for (row, line) in tile.chunks(tile_width).enumerate() {
+            let start = (y + row) * width + x;
+            band[start..start + tile_width].copy_from_slice(line);
+        }
+    }
+    band
+}
+
+/// A rectangle of pixels.
+struct Tile<'a> {
+    scene: &'a Scene<'a>,
+    shader: &'a Shader<'a>,
+    samples: &'a Samples,
+    corner: [usize; 2],
+    size: [usize; 2],
+    /// The camera's position.
+    eye: Vec3,
+    /// A pixel's size at unit distance.
+    footprint: f32,
+}
+
+impl Tile<'_> {
+    fn samples_of(&self, index: usize) -> &[Sample] {
+        let (x, y) = (index % self.size[0], index / self.size[0]);
+        self.samples
+            .of((self.corner[1] + y) * self.samples.width + self.corner[0] + x)
+    }
+
+    fn view(&self, point: &ShadingPoint) -> Vec3 {
+        (self.eye - point.position).normalize_or(point.normal)
+    }
+
+    fn render(&self, diffuse: Diffuse) -> Vec<Pixel> {
+        let count = self.size[0] * self.size[1];
+        if (0..count).all(|i| self.samples_of(i).is_empty()) {
+            return vec![Pixel::default(); count];
+        }
+        let relit = matches!(diffuse, Diffuse::Relit(..));
+        let pieces: Vec<Vec<Piece>> = (0..count)
+            .map(|i| self.pieces(self.samples_of(i)))
+            .collect();
+        let mains: Vec<Option<ShadingPoint>> = pieces
+            .iter()
+            .map(|p| p.first().map(|piece| piece.point))
+            .collect();
+        let distance = mains
+            .iter()
+            .flatten()
+            .map(|p| p.position.distance(self.eye))
+            .fold(f32::INFINITY, f32::min);
+        let wanted = |index: usize, group: usize| {
+            relit || mains[index].is_some_and(|p| self.shader.is_in_lobe(group, &p, self.view(&p)))
+        };
+        let groups = self.shader.groups();
+        let visibility =
+            self.shader
+                .visibility(&mains, self.size[0], distance * self.footprint, &wanted);
+        (0..count)
+            .map(|index| {
+                let samples = self.samples_of(index);
+                if samples.is_empty() {
+                    return Pixel::default();
+                }
+                let main = &visibility[index * groups..(index + 1) * groups];
+                let edge = self.has_shadow_edge(&mains, &visibility, index, &wanted);
+                let shades: Vec<(Shade, Piece)> = if edge {
+                    self.quarters(&pieces[index], samples)
+                        .into_iter()
+                        .map(|piece| (self.shade_alone(&piece.point, relit), piece))
+                        .collect()
+                } else {
+                    pieces[index]
+                        .iter()
+                        .enumerate()
+                        .map(|(i, piece)| {
+                            let shade = if i == 0 {
+                                self.shader
+                                    .shade(&piece.point, self.view(&piece.point), main)
+                            } else {
+                                self.shade_with_neighbours(&piece.point, relit, main)
+                            };
+                            let piece = Piece { ..*piece };
+                            (shade, piece)
+                        })
+                        .collect()
+                };
+                self.resolve(samples, &shades, diffuse)
+            })
+            .collect()
+    }
+
+    /// Adds up a pixel's sub-samples.
+    fn resolve(&self, samples: &[Sample], shades: &[(Shade, Piece)], diffuse: Diffuse) -> Pixel {
+        let share = 1.0 / self.samples.full() as f32;
+        let mut pixel = Pixel {
+            coverage: samples.len() as f32 * share,
+            ..Pixel::default()
+        };
+        for (shade, piece) in shades {
+            pixel.specular += shade.specular * (piece.members.count_ones() as f32 * share);
+            let (atlas, texture, light) = match diffuse {
+                Diffuse::Absent => continue,
+                Diffuse::Stored(atlas, texture) => (atlas, texture, Vec3::ONE),
+                Diffuse::Relit(atlas, albedo) => (atlas, albedo, shade.irradiance),
+            };
+            let cos_view = piece.point.normal.dot(self.view(&piece.point));
+            let through = self
+                .scene
+                .brdf
+                .map_or(1.0, |b| b.diffuse_transmittance(cos_view));
+            let mut sum = Vec3::ZERO;
+            for (i, sample) in samples.iter().enumerate() {
+                if piece.members >> i & 1 == 1 {
+                    sum += atlas.sample(texture, sample.triangle, sample.barycentric);
+                }
+            }
+            pixel.diffuse += sum * light * (share * through);
+        }
+        pixel
+    }
+
+    fn point(&self, sample: &Sample) -> ShadingPoint {
+        let surface = self.scene.mesh.point(sample.triangle, sample.barycentric);
+        let face_normal = self.scene.mesh.face_normal(sample.triangle);
+        ShadingPoint {
+            position: surface.position,
+            normal: surface.normal,
+            face_normal: if face_normal == Vec3::ZERO {
+                surface.normal
+            } else {
+                face_normal
+            },
+        }
+    }
+
+    /// Groups a pixel's samples into smooth pieces, the largest first.
+    fn pieces(&self, samples: &[Sample]) -> Vec<Piece> {
+        let Some(first) = samples.first() else {
+            return Vec::new();
+        };
+        if samples.iter().all(|s| s.triangle == first.triangle) {
+            let sum: Vec2 = samples.iter().map(|s| s.barycentric).sum();
+            let mean = Sample {
+                barycentric: sum / samples.len() as f32,
+                ..*first
+            };
+            let point = self.point(&mean);
+            // One flat triangle may still be seen so nearly edge-on, or bend its normals so far, that it is no one
+            // piece; then it falls through.
+            let ends = [
+                self.point(first).normal,
+                self.point(&samples[samples.len() - 1]).normal,
+            ];
+            if ends.iter().all(|n| n.dot(point.normal) > self.piece_cos()) {
+                return vec![Piece {
+                    point,
+                    members: bits(samples.len()),
+                }];
+            }
+        }
+        let points: Vec<ShadingPoint> = samples.iter().map(|s| self.point(s)).collect();
+        let mut left = bits(samples.len());
+        let mut pieces = Vec::new();
+        let mut seed = samples.len() / 2;
+        while left != 0 {
+            if left >> seed & 1 == 0 {
+                seed = left.trailing_zeros() as usize;
+            }
+            let centre = points[seed];
+            let thickness = self.footprint * centre.position.distance(self.eye);
+            let (mut members, mut normal) = (0_u64, Vec3::ZERO);
+            for (i, p) in points
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| left >> i & 1 == 1)
+            {
+                let height = (p.position - centre.position).dot(centre.face_normal).abs();
+                if i == seed
+                    || (p.normal.dot(centre.normal) > self.piece_cos() && height < thickness)
+                {
+                    members |= 1 << i;
+                    normal += p.normal;
+                }
+            }
+            left &= !members;
+            pieces.push(Piece {
+                point: ShadingPoint {
+                    normal: normal.normalize_or(centre.normal),
+                    ..centre
+                },
+                members,
+            });
+        }
+        pieces.sort_by_key(|p| std::cmp::Reverse(p.members.count_ones()));
+        pieces
+    }
+
+    /// Cosine of the largest angle between normals of one piece.
+    fn piece_cos(&self) -> f32 {
+        let roughness = self.scene.brdf.map_or(f32::INFINITY, |b| b.sigma);
+        (PIECE_ROUGHNESS * roughness).min(PIECE_ANGLE).cos()
+    }
+
+    /// Cuts a pixel's pieces into the quarters of the pixel.
+    fn quarters(&self, pieces: &[Piece], samples: &[Sample]) -> Vec<Piece> {
+        let (factor, half) = (
+            self.samples.factor as usize,
+            (self.samples.factor / 2) as usize,
+        );
+        let mut cut = Vec::with_capacity(4 * pieces.len());
+        for piece in pieces {
+            for quarter in 0..4 {
+                let mut members = 0_u64;
+                let mut sum = Vec3::ZERO;
+                for (i, s) in samples.iter().enumerate() {
+                    let (column, row) =
+                        (usize::from(s.slot) % factor, usize::from(s.slot) / factor);
+                    let here = usize::from(row >= half) * 2 + usize::from(column >= half);
+                    if piece.members >> i & 1 == 1 && here == quarter {
+                        members |= 1 << i;
+                        sum += self.point(s).position;
+                    }
+                }
+                if members == 0 {
+                    continue;
+                }
+                let middle = sum / members.count_ones() as f32;
+                let nearest = (0..samples.len())
+                    .filter(|i| members >> i & 1 == 1)
+                    .map(|i| self.point(&samples[i]))
+                    .min_by(|a, b| {
+                        let d = |p: &ShadingPoint| p.position.distance_squared(middle);
+                        d(a).total_cmp(&d(b))
+                    });
+                cut.extend(nearest.map(|point| Piece { point, members }));
+            }
+        }
+        cut
+    }
+
+    /// Whether a lamp's shadow ends in this pixel or between it and a neighbour.
+    fn has_shadow_edge(
+        &self,
+        mains: &[Option<ShadingPoint>],
+        visibility: &[Visibility],
+        index: usize,
+        wanted: &dyn Fn(usize, usize) -> bool,
+    ) -> bool {
+        let groups = self.shader.groups();
+        let (x, y) = (index % self.size[0], index / self.size[0]);
+        let neighbours = [
+            (x > 0).then(|| index - 1),
+            (x + 1 < self.size[0]).then(|| index + 1),
+            (y > 0).then(|| index - self.size[0]),
+            (y + 1 < self.size[1]).then(|| index + self.size[0]),
+        ];
+        (0..groups).any(|g| {
+            if !self.shader.is_sharp(g) || !wanted(index, g) {
+                return false;
+            }
+            let share = |i: usize| visibility[i * groups + g].share(self.shader.nodes(g));
+            let here = share(index);
+            neighbours.iter().flatten().any(|&n| {
+                mains[n].is_some() && wanted(n, g) && (share(n) - here).abs() > EDGE_SHARE
+            })
+        })
+    }
+
+    /// Shades a point that has no visibilities yet.
+    fn shade_alone(&self, point: &ShadingPoint, relit: bool) -> Shade {
+        let view = self.view(point);
+        let visibility: Vec<Visibility> = (0..self.shader.groups())
+            .map(|g| {
+                if relit || self.shader.is_in_lobe(g, point, view) {
+                    self.shader.cast(point, g)
+                } else {
+                    Visibility::Below
+                }
+            })
+            .collect();
+        self.shader.shade(point, view, &visibility)
+    }
+
+    /// Shades a further piece of a pixel: smooth light is as for the pixel's main piece.
+    fn shade_with_neighbours(
+        &self,
+        point: &ShadingPoint,
+        relit: bool,
+        main: &[Visibility],
+    ) -> Shade {
+        let view = self.view(point);
+        let visibility: Vec<Visibility> = (0..self.shader.groups())
+            .map(|g| {
+                if !(relit || self.shader.is_in_lobe(g, point, view)) {
+                    Visibility::Below
+                } else if matches!(main[g], Visibility::Fraction(_)) {
+                    main[g].clone()
+                } else {
+                    self.shader.cast(point, g)
+                }
+            })
+            .collect();
+        self.shader.shade(point, view, &visibility)
+    }
+}
+
+/// The lowest `count` bits set.
+fn bits(count: usize) -> u64 {
+    if count >= 64 {
+        u64::MAX
+    } else {
+        (1 << count) - 1
+    }
+}

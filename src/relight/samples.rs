@@ -1,0 +1,116 @@
+//! Which points of the surface each pixel's area shows: sub-samples on a regular grid inside the pixel.
+
+use std::ops::Range;
+
+use glam::Vec2;
+use rayon::prelude::*;
+
+use crate::capture::{Camera, Mesh};
+use crate::surface::{NO_TRIANGLE, Occluder, barycentric_at, front_most};
+
+/// Sub-samples held at a time: larger pictures are worked through in bands of rows.
+const BAND_SAMPLES: usize = 4 << 20;
+
+/// One sub-sample that meets the surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    /// Front-most triangle.
+    pub triangle: u32,
+    /// Place in the pixel: row × factor + column.
+    pub slot: u8,
+    /// Weights of the triangle's second and third corner.
+    pub barycentric: Vec2,
+}
+
+/// The sub-samples of some rows of a picture.
+pub struct Samples {
+    /// Sub-samples along each side of a pixel.
+    pub factor: u32,
+    /// The picture's width in pixels.
+    pub width: usize,
+    /// Rows of the picture.
+    pub rows: Range<usize>,
+    /// Samples of the band's pixel `i` are `samples[starts[i]..starts[i + 1]]`, by slot.
+    starts: Vec<u32>,
+    samples: Vec<Sample>,
+}
+
+impl Samples {
+    /// The samples of a pixel, `index` counted from the band's first pixel.
+    pub fn of(&self, index: usize) -> &[Sample] {
+        &self.samples[self.starts[index] as usize..self.starts[index + 1] as usize]
+    }
+
+    /// Samples that a pixel would have if the surface covered it.
+    pub fn full(&self) -> usize {
+        (self.factor * self.factor) as usize
+    }
+
+    /// Traces `rows` of the picture that `camera` takes.
+    pub fn trace(
+        mesh: &Mesh,
+        occluder: &Occluder,
+        camera: &Camera,
+        rows: Range<usize>,
+        factor: u32,
+    ) -> Self {
+        let mut fine = camera.supersampled(factor);
+        fine.centre.y -= f64::from(rows.start as u32 * factor);
+        fine.height = rows.len() as u32 * factor;
+        let (triangles, _) = front_most(mesh, occluder, &fine);
+        let (width, factor_) = (camera.width as usize, factor as usize);
+        let row_samples: Vec<(Vec<u32>, Vec<Sample>)> = (0..rows.len())
+            .into_par_iter()
+            .map(|row| {
+                let mut ends = Vec::with_capacity(width);
+                let mut samples = Vec::new();
+                for x in 0..width {
+                    for slot in 0..factor_ * factor_ {
+                        let (fx, fy) =
+                            (x * factor_ + slot % factor_, row * factor_ + slot / factor_);
+                        let triangle = triangles[fy * width * factor_ + fx];
+                        if triangle == NO_TRIANGLE {
+                            continue;
+                        }
+                        if let Some(barycentric) =
+                            barycentric_at(mesh, &fine, triangle, fx as u32, fy as u32)
+                        {
+                            samples.push(Sample {
+                                triangle,
+                                slot: slot as u8,
+                                barycentric,
+                            });
+                        }
+                    }
+                    ends.push(samples.len() as u32);
+                }
+                (ends, samples)
+            })
+            .collect();
+        let mut starts = Vec::with_capacity(rows.len() * width + 1);
+        starts.push(0);
+        let mut samples = Vec::with_capacity(row_samples.iter().map(|r| r.1.len()).sum());
+        for (ends, row) in row_samples {
+            let base = samples.len() as u32;
+            starts.extend(ends.iter().map(|e| base + e));
+            samples.extend(row);
+        }
+        Self {
+            factor,
+            width,
+            rows,
+            starts,
+            samples,
+        }
+    }
+}
+
+/// Ranges of rows to trace one after the other.
+pub fn bands(camera: &Camera, factor: u32) -> impl Iterator<Item = Range<usize>> {
+    let per_row = (camera.width * factor * factor) as usize;
+    let rows = (BAND_SAMPLES / per_row.max(1)).max(1);
+    let height = camera.height as usize;
+    (0..height)
+        .step_by(rows)
+        .map(move |start| start..(start + rows).min(height))
+}

@@ -1,0 +1,581 @@
+//! How a surface point looks under a lighting: specular radiance (eq. 7) and irradiance (the sums of eq. 18–19).
+//!
+//! * specular = Σ M L ω a · lobe(n, l, v), the lobe of [`Brdf`] with its 1/cos θ_r inside;
+//! * irradiance = Σ M L ω a · max(0, cos θ_i) T(cos θ_i), T the diffuse transmittance of [`Brdf`];
+//!
+//! over the nodes of all lamps. a = (R/|p − x|)² is the fall-off of a node at the finite distance R (1 for distant
+//! light), M ∈ {0, 1} whether a ray from the surface reaches the node. Light from behind the shading normal or
+//! behind the triangle's plane contributes nothing. Interreflection is left out.
+//!
+//! A lamp is many nodes, and most points see either all of them or none: a few probes at its rim and centre tell, and
+//! only where they disagree (the penumbra) every node has its ray. On a grid of neighbouring points even the
+//! probes are cast for every fourth point only; see [`Shader::visibility`].
+
+use glam::Vec3;
+
+use super::lighting::{LampNodes, Lighting};
+use crate::estimate::Brdf;
+use crate::surface::Occluder;
+
+/// Lobes are cut where they have fallen to this part of their peak.
+const LOBE_CUTOFF: f32 = 1e-5;
+/// Distance, in points of a grid, between those that cast probes.
+const STRIDE: usize = 4;
+/// Neighbouring points share visibility where their normals' cosine is above this …
+const SAME_SURFACE_COS: f32 = 0.8;
+/// … and they are no further apart than this many grid spacings per step.
+const SAME_SURFACE_STEPS: f32 = 4.0;
+/// An environment's patch that is brighter than this part of the whole light and smaller than
+/// [`SHARP_REACH`] casts shadows with edges.
+const SHARP_SHARE: f32 = 0.02;
+const SHARP_REACH: f32 = 0.12;
+/// Rays per patch of an environment.
+const SOFT_RAYS: usize = 4;
+
+/// A surface point to be shaded.
+#[derive(Clone, Copy, Debug)]
+pub struct ShadingPoint {
+    /// World position.
+    pub position: Vec3,
+    /// Unit shading normal.
+    pub normal: Vec3,
+    /// Unit normal of the triangle's plane.
+    pub face_normal: Vec3,
+}
+
+/// How much of a lamp a point sees, its own horizon aside.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Visibility {
+    /// The lamp is behind the surface.
+    Below,
+    /// Something hides all of it.
+    Hidden,
+    /// All of it.
+    Whole,
+    /// These nodes: one bit a node.
+    Part(Box<[u64]>),
+    /// This fraction of a patch of an environment.
+    Fraction(f32),
+}
+
+impl Visibility {
+    /// Part of `nodes` nodes that is seen, for comparing neighbours.
+    pub fn share(&self, nodes: usize) -> f32 {
+        match self {
+            Self::Below | Self::Hidden => 0.0,
+            Self::Whole => 1.0,
+            Self::Part(bits) => {
+                bits.iter().map(|w| w.count_ones()).sum::<u32>() as f32 / nodes.max(1) as f32
+            }
+            Self::Fraction(f) => *f,
+        }
+    }
+}
+
+/// What arrives at and leaves a point.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Shade {
+    /// Specular radiance towards the viewer, RGB.
+    pub specular: Vec3,
+    /// Irradiance as the diffuse part sees it, RGB: Lambert's cosine and the transmittance inside.
+    pub irradiance: Vec3,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    /// Unit direction, or the node's position where it is near.
+    place: Vec3,
+    flux: Vec3,
+}
+
+/// A lamp prepared for shading.
+#[derive(Clone, Debug)]
+struct Group {
+    nodes: Vec<Node>,
+    /// Squared distance from the centre, for near lamps.
+    near: Option<f32>,
+    /// Unit direction or position of its middle.
+    axis: Vec3,
+    /// Angular radius about the middle seen from the centre, radians.
+    reach: f32,
+    /// Nodes that tell whether the lamp is seen.
+    probes: Vec<usize>,
+    /// Σ flux × direction for each channel, of a distant lamp.
+    moment: [Vec3; 3],
+    /// Visibility is a fraction that varies smoothly.
+    soft: bool,
+}
+
+/// A lighting prepared for shading a mesh.
+pub struct Shader<'a> {
+    occluder: &'a Occluder,
+    brdf: Option<Brdf>,
+    groups: Vec<Group>,
+    /// Irradiance by the ambient part.
+    ambient: Vec3,
+    /// Half-angle beyond which the lobe is cut, radians.
+    support: f32,
+}
+
+impl Group {
+    fn new(lamp: &LampNodes, centre: Vec3, soft: bool) -> Option<Self> {
+        let lit: Vec<_> = lamp
+            .nodes
+            .iter()
+            .filter(|n| n.flux() != Vec3::ZERO)
+            .collect();
+        if lit.is_empty() || lamp.muted {
+            return None;
+        }
+        let place = |direction: Vec3| lamp.radius.map_or(direction, |r| centre + r * direction);
+        let nodes: Vec<Node> = lit
+            .iter()
+            .map(|n| Node {
+                place: place(n.direction),
+                flux: n.flux(),
+            })
+            .collect();
+        let reach = lit
+            .iter()
+            .map(|n| n.direction.angle_between(lamp.direction))
+            .fold(0.0, f32::max);
+        let probes = if soft {
+            let count = SOFT_RAYS.min(nodes.len());
+            (0..count).map(|i| i * nodes.len() / count).collect()
+        } else {
+            let mut probes = extremal(
+                &lit.iter().map(|n| n.direction).collect::<Vec<_>>(),
+                lamp.direction,
+            );
+            probes.sort_unstable();
+            probes.dedup();
+            probes
+        };
+        let mut moment = [Vec3::ZERO; 3];
+        for n in &lit {
+            for (channel, m) in moment.iter_mut().enumerate() {
+                *m += n.direction * n.flux()[channel];
+            }
+        }
+        Some(Self {
+            nodes,
+            near: lamp.radius.map(|r| r * r),
+            axis: place(lamp.direction),
+            reach,
+            probes,
+            moment,
+            soft,
+        })
+    }
+
+    /// Unit direction from a surface point to a place of this group, fall-off and distance.
+    #[inline]
+    fn towards(&self, place: Vec3, from: Vec3) -> (Vec3, f32, f32) {
+        match self.near {
+            None => (place, 1.0, f32::INFINITY),
+            Some(squared_radius) => {
+                let offset = place - from;
+                // A node inside the object would blow up: nothing comes nearer than a tenth of the radius.
+                let squared = offset.length_squared().max(0.01 * squared_radius);
+                let distance = squared.sqrt();
+                (offset / distance, squared_radius / squared, distance)
+            }
+        }
+    }
+
+    /// Largest angle between the axis and a node, seen from a surface point; radians.
+    #[inline]
+    fn reach_from(&self, falloff: f32) -> f32 {
+        // Seen from nearer, a lamp is larger by the root of its fall-off; a tenth more as the nodes' own
+        // distances differ.
+        if self.near.is_some() {
+            self.reach * falloff.sqrt() * 1.1
+        } else {
+            self.reach
+        }
+    }
+
+    fn horizon(&self, point: &ShadingPoint) -> Horizon {
+        let (axis, falloff, _) = self.towards(self.axis, point.position);
+        let height = axis.dot(point.normal).min(axis.dot(point.face_normal));
+        let reach = self
+            .reach_from(falloff)
+            .min(std::f32::consts::FRAC_PI_2)
+            .sin();
+        if height > reach {
+            Horizon::Above
+        } else if height < -reach {
+            Horizon::Below
+        } else {
+            Horizon::Across
+        }
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Horizon {
+    Above,
+    Across,
+    Below,
+}
+
+/// The nodes furthest out in four directions around the axis, and the innermost.
+fn extremal(directions: &[Vec3], axis: Vec3) -> Vec<usize> {
+    let (tangent, bitangent) = axis.any_orthonormal_pair();
+    let furthest = |score: &dyn Fn(Vec3) -> f32| {
+        (0..directions.len()).max_by(|&a, &b| score(directions[a]).total_cmp(&score(directions[b])))
+    };
+    let mut probes: Vec<usize> = (0..4)
+        .filter_map(|k| {
+            let (sin, cos) = (k as f32 * std::f32::consts::FRAC_PI_2).sin_cos();
+            furthest(&|d| d.dot(tangent * cos + bitangent * sin))
+        })
+        .collect();
+    probes.extend(furthest(&|d| d.dot(axis)));
+    probes
+}
+
+impl<'a> Shader<'a> {
+    /// Prepares a lighting.
+    pub fn new(occluder: &'a Occluder, brdf: Option<Brdf>, lighting: &Lighting) -> Self {
+        let mut groups: Vec<Group> = lighting
+            .lamps
+            .iter()
+            .filter_map(|lamp| Group::new(lamp, lighting.centre, false))
+            .collect();
+        // Strays have no extent in common: each is a lamp of its own.
+        groups.extend(lighting.remainder.iter().filter_map(|node| {
+            let lamp = LampNodes::new(vec![*node], lighting.radius)?;
+            Group::new(&lamp, lighting.centre, false)
+        }));
+        let total: f32 = lighting
+            .environment
+            .iter()
+            .chain(&lighting.lamps)
+            .map(|l| l.flux().element_sum())
+            .sum();
+        groups.extend(lighting.environment.iter().filter_map(|patch| {
+            let mut group = Group::new(patch, lighting.centre, true)?;
+            if patch.flux().element_sum() > SHARP_SHARE * total && group.reach < SHARP_REACH {
+                group = Group::new(patch, lighting.centre, false)?;
+            }
+            Some(group)
+        }));
+        let transmittance = brdf.map_or(1.0, mean_transmittance);
+        Self {
+            occluder,
+            brdf,
+            groups,
+            ambient: lighting.ambient * std::f32::consts::PI * transmittance,
+            support: brdf.map_or(0.0, |b| b.half_angle_support(LOBE_CUTOFF)),
+        }
+    }
+
+    /// Number of lamps and patches, so of visibilities a point has.
+    pub fn groups(&self) -> usize {
+        self.groups.len()
+    }
+
+    /// Number of nodes of a group.
+    pub fn nodes(&self, group: usize) -> usize {
+        self.groups[group].nodes.len()
+    }
+
+    /// Whether a group's visibility has edges.
+    pub fn is_sharp(&self, group: usize) -> bool {
+        !self.groups[group].soft
+    }
+
+    /// Whether a group can add to the specular part seen at a point from the unit direction `view`.
+    pub fn is_in_lobe(&self, group: usize, point: &ShadingPoint, view: Vec3) -> bool {
+        let g = &self.groups[group];
+        let (axis, falloff, _) = g.towards(g.axis, point.position);
+        self.brdf.is_some()
+            && in_lobe(
+                axis,
+                g.reach_from(falloff),
+                point.normal,
+                view,
+                self.support,
+            )
+    }
+
+    fn ray_is_blocked(
+        &self,
+        point: &ShadingPoint,
+        origin: Vec3,
+        group: &Group,
+        node: usize,
+    ) -> Option<bool> {
+        let (l, _, distance) = group.towards(group.nodes[node].place, point.position);
+        (l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0)
+            .then(|| self.occluder.occluded(origin, l, distance))
+    }
+
+    /// Casts the rays that tell how much of a group a point sees.
+    pub fn cast(&self, point: &ShadingPoint, group: usize) -> Visibility {
+        let group = &self.groups[group];
+        if group.horizon(point) == Horizon::Below {
+            return Visibility::Below;
+        }
+        let origin = self
+            .occluder
+            .offset_origin(point.position, point.face_normal);
+        let (mut blocked, mut clear) = (0, 0);
+        for &probe in &group.probes {
+            match self.ray_is_blocked(point, origin, group, probe) {
+                Some(true) => blocked += 1,
+                Some(false) => clear += 1,
+                None => {}
+            }
+            if !group.soft && blocked > 0 && clear > 0 {
+                break;
+            }
+        }
+        if group.soft {
+            return Visibility::Fraction(if blocked + clear == 0 {
+                1.0
+            } else {
+                clear as f32 / (blocked + clear) as f32
+            });
+        }
+        match (blocked, clear) {
+            (0, 1..) => Visibility::Whole,
+            (1.., 0) => Visibility::Hidden,
+            _ => {
+                let mut bits = vec![0_u64; group.nodes.len().div_ceil(64)].into_boxed_slice();
+                for node in 0..group.nodes.len() {
+                    if self.ray_is_blocked(point, origin, group, node) == Some(false) {
+                        bits[node / 64] |= 1 << (node % 64);
+                    }
+                }
+                Visibility::Part(bits)
+            }
+        }
+    }
+
+    /// Visibilities on a grid of `points`, row by row, `width` of them in a row, `groups()` for each point. Only every
+    /// fourth point in each direction casts probes; those between take what all their neighbours of the same
+    /// surface agree on, and cast their own where there is no agreement. `spacing` is the typical distance of
+    /// neighbouring points; `wanted` says whether a point needs a group at all.
+    pub fn visibility(
+        &self,
+        points: &[Option<ShadingPoint>],
+        width: usize,
+        spacing: f32,
+        wanted: &dyn Fn(usize, usize) -> bool,
+    ) -> Vec<Visibility> {
+        let height = points.len() / width.max(1);
+        let count = self.groups.len();
+        let mut all = vec![Visibility::Below; points.len() * count];
+        let is_coarse = |x: usize, y: usize| {
+            (x % STRIDE == 0 || x + 1 == width) && (y % STRIDE == 0 || y + 1 == height)
+        };
+        let mut needed = vec![false; count];
+        for y in (0..height).filter(|y| y % STRIDE == 0 || y + 1 == height) {
+            for x in (0..width).filter(|&x| is_coarse(x, y)) {
+                let Some(point) = &points[y * width + x] else {
+                    continue;
+                };
+                // A coarse point answers for the cells around it.
+                needed.fill(false);
+                for ny in y.saturating_sub(STRIDE)..(y + STRIDE + 1).min(height) {
+                    for nx in x.saturating_sub(STRIDE)..(x + STRIDE + 1).min(width) {
+                        if points[ny * width + nx].is_some() {
+                            for (g, n) in needed.iter_mut().enumerate() {
+                                *n = *n || wanted(ny * width + nx, g);
+                            }
+                        }
+                    }
+                }
+                for g in (0..count).filter(|&g| needed[g]) {
+                    all[(y * width + x) * count + g] = self.cast(point, g);
+                }
+            }
+        }
+        for y in 0..height {
+            for x in (0..width).filter(|&x| !is_coarse(x, y)) {
+                let index = y * width + x;
+                let Some(point) = &points[index] else {
+                    continue;
+                };
+                let corners = corners(points, width, height, [x, y], spacing);
+                for g in (0..count).filter(|&g| wanted(index, g)) {
+                    let shared = self.shared(&corners, &all, g, point);
+                    all[index * count + g] = shared.unwrap_or_else(|| self.cast(point, g));
+                }
+            }
+        }
+        all
+    }
+
+    /// What a point's coarse neighbours say about a group, if they agree.
+    fn shared(
+        &self,
+        corners: &[(usize, f32)],
+        all: &[Visibility],
+        group: usize,
+        point: &ShadingPoint,
+    ) -> Option<Visibility> {
+        let count = self.groups.len();
+        let of = |corner: &(usize, f32)| &all[corner.0 * count + group];
+        if self.groups[group].horizon(point) == Horizon::Below {
+            return Some(Visibility::Below);
+        }
+        if self.groups[group].soft {
+            let (mut sum, mut weights) = (0.0, 0.0);
+            for corner in corners {
+                if let Visibility::Fraction(f) = of(corner) {
+                    sum += corner.1 * f;
+                    weights += corner.1;
+                }
+            }
+            return (weights > 1e-3).then(|| Visibility::Fraction(sum / weights));
+        }
+        let (first, others) = corners.split_first()?;
+        let agreed = of(first);
+        let plain = matches!(agreed, Visibility::Whole | Visibility::Hidden);
+        (corners.len() >= 3 && plain && others.iter().all(|c| of(c) == agreed))
+            .then(|| agreed.clone())
+    }
+
+    /// Specular radiance and irradiance at a point seen from the unit direction `view`, given its visibilities.
+    pub fn shade(&self, point: &ShadingPoint, view: Vec3, visibility: &[Visibility]) -> Shade {
+        let mut specular = Vec3::ZERO;
+        if let Some(brdf) = self.brdf {
+            let terms = brdf.view_terms(point.normal, view);
+            for (group, seen) in self.groups.iter().zip(visibility) {
+                let (axis, falloff, _) = group.towards(group.axis, point.position);
+                let reach = group.reach_from(falloff);
+                if in_lobe(axis, reach, point.normal, view, self.support) {
+                    self.each_seen(group, point, seen, |l, flux| {
+                        specular += flux * brdf.lobe(&terms, l);
+                    });
+                }
+            }
+        }
+        Shade {
+            specular,
+            irradiance: self.irradiance(point, visibility),
+        }
+    }
+
+    /// Irradiance at a point, given its visibilities.
+    pub fn irradiance(&self, point: &ShadingPoint, visibility: &[Visibility]) -> Vec3 {
+        let mut irradiance = self.ambient;
+        let transmittance = |cos: f32| self.brdf.map_or(1.0, |b| b.diffuse_transmittance(cos));
+        for (group, seen) in self.groups.iter().zip(visibility) {
+            // Distant light that is wholly seen and above the horizon adds up beforehand, as long as the
+            // transmittance is the same for all of it.
+            let weight = match seen {
+                Visibility::Whole => 1.0,
+                Visibility::Fraction(f) => *f,
+                _ => f32::NAN,
+            };
+            if group.near.is_none()
+                && !weight.is_nan()
+                && group.horizon(point) == Horizon::Above
+                && group.reach < 0.2
+            {
+                let through = weight * transmittance(group.axis.dot(point.normal));
+                irradiance += through
+                    * Vec3::new(
+                        group.moment[0].dot(point.normal),
+                        group.moment[1].dot(point.normal),
+                        group.moment[2].dot(point.normal),
+                    )
+                    .max(Vec3::ZERO);
+            } else {
+                self.each_seen(group, point, seen, |l, flux| {
+                    let cos = l.dot(point.normal);
+                    irradiance += flux * (cos * transmittance(cos));
+                });
+            }
+        }
+        irradiance
+    }
+
+    /// Calls `add(l, flux × fall-off)` for every node of a group that lights the point.
+    #[inline]
+    fn each_seen(
+        &self,
+        group: &Group,
+        point: &ShadingPoint,
+        seen: &Visibility,
+        mut add: impl FnMut(Vec3, Vec3),
+    ) {
+        let weight = match seen {
+            Visibility::Below | Visibility::Hidden => return,
+            Visibility::Whole | Visibility::Part(_) => 1.0,
+            Visibility::Fraction(f) => *f,
+        };
+        for (i, node) in group.nodes.iter().enumerate() {
+            if let Visibility::Part(bits) = seen
+                && bits[i / 64] >> (i % 64) & 1 == 0
+            {
+                continue;
+            }
+            let (l, falloff, _) = group.towards(node.place, point.position);
+            if l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0 {
+                add(l, node.flux * (falloff * weight));
+            }
+        }
+    }
+}
+
+/// Whether light within the angle `reach` of `axis` can have its half vector within `support` of the normal.
+fn in_lobe(axis: Vec3, reach: f32, normal: Vec3, view: Vec3, support: f32) -> bool {
+    let sum = axis + view;
+    let length = sum.length();
+    // The half vector turns by at most reach/|l + v|, a little more as |l + v| itself changes with l.
+    let turn = reach / (length - reach).max(1e-3);
+    let limit = support + turn;
+    limit >= std::f32::consts::FRAC_PI_2 || sum.dot(normal) > length * limit.cos()
+}
+
+/// ∫ T(cos θ) cos θ dω / π over the hemisphere: the transmittance of uniform light.
+fn mean_transmittance(brdf: Brdf) -> f32 {
+    /// Midpoint rule in cos²θ.
+    const STEPS: usize = 64;
+    (0..STEPS)
+        .map(|i| brdf.diffuse_transmittance(((i as f32 + 0.5) / STEPS as f32).sqrt()))
+        .sum::<f32>()
+        / STEPS as f32
+}
+
+/// The corners of a point's cell that lie on the same surface, with bilinear weights.
+fn corners(
+    points: &[Option<ShadingPoint>],
+    width: usize,
+    height: usize,
+    [x, y]: [usize; 2],
+    spacing: f32,
+) -> Vec<(usize, f32)> {
+    let Some(point) = &points[y * width + x] else {
+        return Vec::new();
+    };
+    let ends = |at: usize, limit: usize| {
+        let low = at - at % STRIDE;
+        let high = (low + STRIDE).min(limit - 1);
+        let t = if high > low {
+            (at - low) as f32 / (high - low) as f32
+        } else {
+            0.0
+        };
+        [(low, 1.0 - t), (high, t)]
+    };
+    let reach = SAME_SURFACE_STEPS * STRIDE as f32 * spacing;
+    let mut found = Vec::with_capacity(4);
+    for (cy, wy) in ends(y, height) {
+        for (cx, wx) in ends(x, width) {
+            let index = cy * width + cx;
+            if let Some(corner) = &points[index]
+                && corner.normal.dot(point.normal) > SAME_SURFACE_COS
+                && corner.position.distance_squared(point.position) < reach * reach
+            {
+                found.push((index, wx * wy));
+            }
+        }
+    }
+    found
+}

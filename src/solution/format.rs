@@ -1,0 +1,83 @@
+//! `solution.json` and `nodes.json`: what is written, field by field, and what is checked when they are read.
+
+use serde::{Deserialize, Serialize};
+
+use crate::estimate::{Diagnostics, Iteration, Method, SpecularModel};
+
+/// What `format` says.
+pub(super) const FORMAT: &str = "rekindle-solution";
+/// The version written, and the newest that can be read.
+pub(super) const VERSION: u32 = 1;
+
+/// Read before everything else, so that a newer file is recognised whatever else it holds.
+#[derive(Deserialize)]
+pub(super) struct Head {
+    pub(super) format: String,
+    pub(super) version: u32,
+}
+
+#[derive(Serialize, Deserialize)]
+pub(super) struct Manifest {
+    pub(super) format: String,
+    pub(super) version: u32,
+    pub(super) name: String,
+    pub(super) method: Method,
+    pub(super) specular_model: Option<SpecularModel>,
+    pub(super) chosen_because: String,
+    pub(super) sigma: Option<f32>,
+    pub(super) sigma_interval95: Option<[f32; 2]>,
+    pub(super) hemisphere: Hemisphere,
+    pub(super) lights: Vec<Light>,
+    /// Radiance from every direction alike, RGB, K_S-scaled.
+    pub(super) ambient: [f32; 3],
+    pub(super) diagnostics: Diagnostics,
+    pub(super) fit: Fit,
+    pub(super) timings_s: serde_json::Map<String, serde_json::Value>,
+    pub(super) convergence: Vec<Iteration>,
+    pub(super) texture: Texture,
+}
+
+#[derive(Serialize, Deserialize)]
+pub(super) struct Hemisphere {
+    pub(super) frequency: u32,
+    pub(super) nodes: usize,
+    pub(super) active: usize,
+    pub(super) up: [f32; 3],
+    pub(super) radius: Option<f32>,
+    pub(super) centre: [f32; 3],
+}
+
+#[derive(Serialize, Deserialize)]
+pub(super) struct Light {
+    pub(super) id: usize,
+    pub(super) name: String,
+    pub(super) direction: [f32; 3],
+    pub(super) flux: [f32; 3],
+    pub(super) angular_radius_deg: f32,
+    pub(super) nodes: usize,
+}
+
+/// How well the solution reproduces the input views.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Fit {
+    /// Root mean square of measured − rendered over all pixels inside the object, in radiance.
+    pub residual_rms: f64,
+    /// PSNR of each view, sRGB-encoded, white at its 99.5th percentile, in dB.
+    pub psnr_db_per_view: Vec<f32>,
+}
+
+#[derive(Serialize, Deserialize)]
+pub(super) struct Texture {
+    pub(super) width: u32,
+    pub(super) height: u32,
+    pub(super) own_uvs: bool,
+}
+
+/// The lit nodes and which lamp each belongs to.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Nodes {
+    /// Index and radiance, RGB, by rising index.
+    pub(super) lit: Vec<(u32, [f32; 3])>,
+    /// Node indices of each light, in the lights' order.
+    pub(super) lights: Vec<Vec<u32>>,
+}

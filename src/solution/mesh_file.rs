@@ -1,0 +1,207 @@
+//! The mesh of a solution: `mesh.ply` (binary, exact, with texture coordinates per corner, as MeshLab writes them) for
+//! programs, `mesh.obj` for people and modellers.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::io;
+use std::path::Path;
+
+use glam::{Vec2, Vec3};
+
+use crate::capture::Mesh;
+
+/// A mesh with the texture coordinates of every triangle's corners, v upwards, both in [0, 1].
+#[derive(Clone, Debug, PartialEq)]
+pub struct TexturedMesh {
+    /// The surface; its own per-vertex texture coordinates are left out.
+    pub mesh: MeshParts,
+    /// One triple per triangle.
+    pub corner_uvs: Vec<[Vec2; 3]>,
+}
+
+/// What is stored of a mesh.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeshParts {
+    /// One position per vertex.
+    pub positions: Vec<Vec3>,
+    /// One unit normal per vertex.
+    pub normals: Vec<Vec3>,
+    /// Three vertex indices per triangle.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// Bytes of a vertex and of a triangle in the PLY file.
+const VERTEX_BYTES: usize = 6 * 4;
+const TRIANGLE_BYTES: usize = 1 + 3 * 4 + 1 + 6 * 4;
+
+fn header(vertices: usize, triangles: usize) -> String {
+    format!(
+        "ply\nformat binary_little_endian 1.0\ncomment written by rekindle; texture diffuse.exr\n\
+         element vertex {vertices}\nproperty float x\nproperty float y\nproperty float z\n\
+         property float nx\nproperty float ny\nproperty float nz\n\
+         element face {triangles}\nproperty list uchar uint vertex_indices\n\
+         property list uchar float texcoord\nend_header\n"
+    )
+}
+
+/// Writes the binary PLY file.
+pub fn write_ply(path: &Path, mesh: &Mesh, corner_uvs: &[[Vec2; 3]]) -> io::Result<()> {
+    let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+    let mut bytes = header(vertices, triangles).into_bytes();
+    bytes.reserve(vertices * VERTEX_BYTES + triangles * TRIANGLE_BYTES);
+    for (position, normal) in mesh.positions.iter().zip(&mesh.normals) {
+        for value in position.to_array().into_iter().chain(normal.to_array()) {
+            bytes.extend(value.to_le_bytes());
+        }
+    }
+    for (triangle, uvs) in mesh.triangles.iter().zip(corner_uvs) {
+        bytes.push(3);
+        for index in triangle {
+            bytes.extend(index.to_le_bytes());
+        }
+        bytes.push(6);
+        for uv in uvs {
+            bytes.extend(uv.x.to_le_bytes());
+            bytes.extend(uv.y.to_le_bytes());
+        }
+    }
+    fs::write(path, bytes)
+}
+
+/// Reads what [`write_ply`] wrote; the error says what is wrong with the file.
+pub fn read_ply(path: &Path) -> Result<TexturedMesh, String> {
+    let bytes = fs::read(path).map_err(|e| format!("it can't be read: {e}"))?;
+    let marker = b"end_header\n";
+    let end = bytes
+        .windows(marker.len())
+        .take(4096)
+        .position(|w| w == marker)
+        .ok_or("it has no PLY header")?
+        + marker.len();
+    let text = std::str::from_utf8(&bytes[..end]).map_err(|_| "its header is not text")?;
+    let count = |element: &str| {
+        text.lines()
+            .find_map(|line| line.strip_prefix(element)?.trim().parse::<usize>().ok())
+            .ok_or_else(|| format!("its header lacks \"{element}\""))
+    };
+    let (vertices, triangles) = (count("element vertex ")?, count("element face ")?);
+    let expected = vertices
+        .checked_mul(VERTEX_BYTES)
+        .zip(triangles.checked_mul(TRIANGLE_BYTES))
+        .and_then(|(v, t)| v.checked_add(t));
+    if text != header(vertices, triangles) || expected != Some(bytes.len() - end) {
+        return Err("it is not as rekindle wrote it, or is cut short".to_owned());
+    }
+    let (vertex_bytes, face_bytes) = bytes[end..].split_at(vertices * VERTEX_BYTES);
+    let mut parts = MeshParts {
+        positions: Vec::with_capacity(vertices),
+        normals: Vec::with_capacity(vertices),
+        triangles: Vec::with_capacity(triangles),
+    };
+    for chunk in vertex_bytes.chunks_exact(VERTEX_BYTES) {
+        let value = |i: usize| f32::from_le_bytes(word(chunk, 4 * i));
+        let (position, normal) = (
+            Vec3::new(value(0), value(1), value(2)),
+            Vec3::new(value(3), value(4), value(5)),
+        );
+        if !position.is_finite() || !normal.is_finite() {
+            return Err("it has vertices that are not finite".to_owned());
+        }
+        parts.positions.push(position);
+        parts.normals.push(normal);
+    }
+    let mut corner_uvs = Vec::with_capacity(triangles);
+    for chunk in face_bytes.chunks_exact(TRIANGLE_BYTES) {
+        let triangle = [1, 5, 9].map(|at| u32::from_le_bytes(word(chunk, at)));
+        let uv = |corner: usize| {
+            let value = |i: usize| f32::from_le_bytes(word(chunk, 14 + 4 * (2 * corner + i)));
+            Vec2::new(value(0), value(1))
+        };
+        let uvs = [uv(0), uv(1), uv(2)];
+        if chunk[0] != 3 || chunk[13] != 6 || triangle.iter().any(|&i| i as usize >= vertices) {
+            return Err("it has a triangle with an index out of range".to_owned());
+        }
+        if uvs.iter().any(|uv| !uv.is_finite()) {
+            return Err("it has texture coordinates that are not finite".to_owned());
+        }
+        parts.triangles.push(triangle);
+        corner_uvs.push(uvs);
+    }
+    if triangles == 0 {
+        return Err("it has no triangles".to_owned());
+    }
+    Ok(TexturedMesh {
+        mesh: parts,
+        corner_uvs,
+    })
+}
+
+/// The four bytes at `at`; zeros past the end.
+fn word(bytes: &[u8], at: usize) -> [u8; 4] {
+    bytes
+        .get(at..at + 4)
+        .and_then(|b| b.try_into().ok())
+        .unwrap_or_default()
+}
+
+/// Writes a Wavefront OBJ file.
+pub fn write_obj(path: &Path, mesh: &Mesh, corner_uvs: &[[Vec2; 3]]) -> io::Result<()> {
+    let mut text = String::from("# written by rekindle; texture diffuse.exr\n");
+    // Writing into a string can't fail.
+    for p in &mesh.positions {
+        let _ = writeln!(text, "v {} {} {}", p.x, p.y, p.z);
+    }
+    for n in &mesh.normals {
+        let _ = writeln!(text, "vn {} {} {}", n.x, n.y, n.z);
+    }
+    for uv in corner_uvs.iter().flatten() {
+        let _ = writeln!(text, "vt {} {}", uv.x, uv.y);
+    }
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        let [a, b, c] = triangle.map(|i| i + 1);
+        let uv = 3 * t + 1;
+        let _ = writeln!(text, "f {a}/{uv}/{a} {b}/{}/{b} {c}/{}/{c}", uv + 1, uv + 2);
+    }
+    fs::write(path, text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example() -> (Mesh, Vec<[Vec2; 3]>) {
+        let mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::new(0.1, 0.7, 1e-9)],
+            normals: vec![Vec3::Z; 3],
+            uvs: Vec::new(),
+            triangles: vec![[0, 1, 2]],
+        };
+        (mesh, vec![[Vec2::ZERO, Vec2::X, Vec2::new(0.3, 0.1)]])
+    }
+
+    #[test]
+    fn a_mesh_comes_back_exactly() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mesh.ply");
+        let (mesh, uvs) = example();
+        write_ply(&path, &mesh, &uvs).unwrap();
+        let read = read_ply(&path).unwrap();
+        assert_eq!(read.mesh.positions, mesh.positions);
+        assert_eq!(read.mesh.triangles, mesh.triangles);
+        assert_eq!(read.corner_uvs, uvs);
+    }
+
+    #[test]
+    fn broken_files_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mesh.ply");
+        let (mut mesh, uvs) = example();
+        write_ply(&path, &mesh, &uvs).unwrap();
+        let whole = fs::read(&path).unwrap();
+        fs::write(&path, &whole[..whole.len() - 5]).unwrap();
+        assert!(read_ply(&path).unwrap_err().contains("cut short"));
+        mesh.triangles[0][1] = 7;
+        write_ply(&path, &mesh, &uvs).unwrap();
+        assert!(read_ply(&path).unwrap_err().contains("out of range"));
+    }
+}

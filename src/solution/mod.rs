@@ -1,0 +1,528 @@
+//! What is saved of a solve: a folder that opens anywhere, complete without the capture.
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | `solution.json` | everything in numbers: see `format` |
+//! | `nodes.json` | radiance of every lit node, exact, and the lamps' nodes |
+//! | `hemisphere.exr` | the lighting as a lat-long picture |
+//! | `hemispheres/*.exr` | initial hemisphere and those of single views, seen from above |
+//! | `mesh.ply`, `mesh.obj` | the surface with texture coordinates |
+//! | `diffuse.exr`, `albedo.exr`, `confidence.exr` | textures: diffuse radiance, pseudo-albedo, how far each texel is known |
+
+mod error;
+mod exr_file;
+mod format;
+mod mesh_file;
+mod solve;
+mod staging;
+
+pub use error::SolutionError;
+pub use exr_file::{write_rgb, write_rgba};
+pub use format::Fit;
+pub use solve::{SolveOptions, solve};
+pub use staging::{Staging, remove_unfinished};
+
+use std::fs;
+use std::io;
+use std::path::Path;
+use std::time::Instant;
+
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+use crate::capture::Mesh;
+use crate::estimate::{Brdf, Diagnostics, Iteration, Method};
+use crate::hemisphere::{HemisphereGrid, Picture, lat_long};
+use crate::relight::{LampNodes, LightNode, Lighting};
+use crate::surface::Atlas;
+use format::{FORMAT, Head, Hemisphere, Light, Manifest, Nodes, Texture, VERSION};
+
+/// Rows of the lat-long picture: a node is some three pixels tall at frequency 70.
+const LATLONG_ROWS: u32 = 512;
+
+/// A lamp that the estimate found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SolutionLamp {
+    /// What people call it.
+    pub name: String,
+    /// Flux-weighted mean direction from the object's centre, unit.
+    pub direction: Vec3,
+    /// Radiance × solid angle, RGB.
+    pub flux: Vec3,
+    /// √2 × flux-weighted rms angle of its nodes, radians.
+    pub angular_radius: f32,
+    /// Nodes of the hemisphere.
+    pub nodes: Vec<u32>,
+}
+
+/// A picture of a hemisphere seen from straight above.
+#[derive(Clone, Debug)]
+pub struct HemispherePicture {
+    /// File name without extension.
+    pub name: String,
+    /// The picture.
+    pub picture: Picture,
+}
+
+/// Everything a solve found.
+pub struct Solution {
+    /// The capture's name.
+    pub name: String,
+    /// The estimation method.
+    pub method: Method,
+    /// Specular model and roughness; `None` where no specular part was found.
+    pub brdf: Option<Brdf>,
+    /// Why this specular model, in words.
+    pub chosen_because: String,
+    /// 95 % interval of σ, radians.
+    pub sigma_interval95: Option<[f32; 2]>,
+    /// The nodes of light.
+    pub grid: HemisphereGrid,
+    /// Radiance of every node, RGB, `K_S`-scaled.
+    pub radiance: Vec<[f32; 3]>,
+    /// Brightest first.
+    pub lamps: Vec<SolutionLamp>,
+    /// Radiance from every direction alike, RGB, `K_S`-scaled.
+    pub ambient: Vec3,
+    /// What the data could say.
+    pub diagnostics: Diagnostics,
+    /// How well the input views are reproduced.
+    pub fit: Fit,
+    /// Seconds of each stage, in order.
+    pub timings: Vec<(String, f64)>,
+    /// The estimation's iterations.
+    pub convergence: Vec<Iteration>,
+    /// The surface; its texture coordinates are the atlas's.
+    pub mesh: Mesh,
+    /// Where each triangle lies in the textures.
+    pub atlas: Atlas,
+    /// Diffuse radiance per texel under the light of the capture.
+    pub diffuse: Vec<[f32; 3]>,
+    /// Pseudo-albedo per texel.
+    pub albedo: Vec<[f32; 3]>,
+    /// How far each texel is known, 0 to 1.
+    pub confidence: Vec<f32>,
+    /// Initial and partial hemispheres; written, not read back.
+    pub pictures: Vec<HemispherePicture>,
+}
+
+impl Solution {
+    /// The light of the capture, ready to be edited.
+    pub fn lighting(&self) -> Lighting {
+        lighting(
+            &self.grid,
+            &self.radiance,
+            self.lamps.iter().map(|l| &l.nodes[..]),
+            self.ambient,
+        )
+    }
+
+    /// What `solution.json` says.
+    pub fn summary(&self) -> serde_json::Value {
+        serde_json::to_value(self.manifest()).unwrap_or_default()
+    }
+
+    /// Part of the textures that views have seen.
+    pub fn seen(&self) -> f32 {
+        let seen = self.confidence.iter().filter(|c| **c > 0.0).count();
+        let used = self
+            .albedo
+            .iter()
+            .filter(|a| **a != [0.0; 3])
+            .count()
+            .max(seen);
+        seen as f32 / used.max(1) as f32
+    }
+
+    /// Writes the solution; one that is there already is replaced once everything is written.
+    /// Returns the seconds of all stages, writing and total included.
+    pub fn save(&self, folder: &Path) -> Result<Vec<(String, f64)>, SolutionError> {
+        check_destination(folder)?;
+        let failed = |source: io::Error| SolutionError::Write {
+            path: folder.to_owned(),
+            source,
+        };
+        let staging = Staging::beside(folder).map_err(failed)?;
+        let timings = self.write_files(staging.path()).map_err(failed)?;
+        staging.replace().map_err(failed)?;
+        Ok(timings)
+    }
+
+    fn write_files(&self, folder: &Path) -> io::Result<Vec<(String, f64)>> {
+        let started = Instant::now();
+        let uvs = self.stored_uvs();
+        let width = self.atlas.width;
+        let pictures = folder.join("hemispheres");
+        fs::create_dir(&pictures)?;
+        let jobs: Vec<Box<dyn Fn() -> io::Result<()> + Sync + Send + '_>> = vec![
+            Box::new(|| write_rgb(&folder.join("diffuse.exr"), width, &self.diffuse)),
+            Box::new(|| write_rgb(&folder.join("albedo.exr"), width, &self.albedo)),
+            Box::new(|| {
+                exr_file::write_gray(&folder.join("confidence.exr"), width, &self.confidence)
+            }),
+            Box::new(|| mesh_file::write_obj(&folder.join("mesh.obj"), &self.mesh, &uvs)),
+            Box::new(|| mesh_file::write_ply(&folder.join("mesh.ply"), &self.mesh, &uvs)),
+            Box::new(|| {
+                let picture = lat_long(&self.grid, &self.radiance, LATLONG_ROWS);
+                write_rgb(
+                    &folder.join("hemisphere.exr"),
+                    picture.width,
+                    &picture.radiance,
+                )
+            }),
+            Box::new(|| {
+                self.pictures.par_iter().try_for_each(|p| {
+                    write_rgb(
+                        &pictures.join(format!("{}.exr", p.name)),
+                        p.picture.width,
+                        &p.picture.radiance,
+                    )
+                })
+            }),
+            Box::new(|| write_json(&folder.join("nodes.json"), &self.nodes(), false)),
+        ];
+        jobs.into_par_iter().try_for_each(|job| job())?;
+        let mut timings = self.timings.clone();
+        timings.push(("save".to_owned(), started.elapsed().as_secs_f64()));
+        let total = timings.iter().map(|(_, seconds)| seconds).sum();
+        timings.push(("total".to_owned(), total));
+        // Last, so that a folder with a solution.json has everything else too.
+        let manifest = Manifest {
+            timings_s: to_map(&timings),
+            ..self.manifest()
+        };
+        write_json(&folder.join("solution.json"), &manifest, true)?;
+        Ok(timings)
+    }
+
+    /// Texture coordinates as files have them: in [0, 1], v upwards.
+    fn stored_uvs(&self) -> Vec<[Vec2; 3]> {
+        let size = Vec2::new(self.atlas.width as f32, self.atlas.height as f32);
+        self.atlas
+            .corner_uvs
+            .iter()
+            .map(|corners| {
+                corners.map(|c| {
+                    let uv = c / size;
+                    Vec2::new(uv.x, 1.0 - uv.y)
+                })
+            })
+            .collect()
+    }
+
+    fn nodes(&self) -> Nodes {
+        Nodes {
+            lit: self
+                .radiance
+                .iter()
+                .enumerate()
+                .filter(|(_, r)| **r != [0.0; 3])
+                .map(|(i, r)| (i as u32, *r))
+                .collect(),
+            lights: self.lamps.iter().map(|l| l.nodes.clone()).collect(),
+        }
+    }
+
+    fn manifest(&self) -> Manifest {
+        Manifest {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            name: self.name.clone(),
+            method: self.method,
+            specular_model: self.brdf.map(|b| b.model),
+            chosen_because: self.chosen_because.clone(),
+            sigma: self.brdf.map(|b| b.sigma),
+            sigma_interval95: self.sigma_interval95,
+            hemisphere: Hemisphere {
+                frequency: self.grid.frequency,
+                nodes: self.grid.directions.len(),
+                active: self.radiance.iter().filter(|r| **r != [0.0; 3]).count(),
+                up: self.grid.up.to_array(),
+                radius: self.grid.radius,
+                centre: self.grid.centre.to_array(),
+            },
+            lights: self
+                .lamps
+                .iter()
+                .enumerate()
+                .map(|(id, lamp)| Light {
+                    id,
+                    name: lamp.name.clone(),
+                    direction: lamp.direction.to_array(),
+                    flux: lamp.flux.to_array(),
+                    angular_radius_deg: lamp.angular_radius.to_degrees(),
+                    nodes: lamp.nodes.len(),
+                })
+                .collect(),
+            ambient: self.ambient.to_array(),
+            diagnostics: self.diagnostics.clone(),
+            fit: self.fit.clone(),
+            timings_s: to_map(&self.timings),
+            convergence: self.convergence.clone(),
+            texture: Texture {
+                width: self.atlas.width,
+                height: self.atlas.height,
+                own_uvs: self.atlas.own_uvs,
+            },
+        }
+    }
+
+    /// Reads a solution and checks that its parts fit together.
+    pub fn load(folder: &Path) -> Result<Self, SolutionError> {
+        let manifest_path = folder.join("solution.json");
+        let manifest = read_manifest(folder, &manifest_path)?;
+        let damaged = |file: &str, what: String| SolutionError::Damaged {
+            path: folder.join(file),
+            what,
+        };
+        let grid = check_manifest(&manifest).map_err(|what| damaged("solution.json", what))?;
+        let (radiance, node_lists) = read_nodes(folder, &manifest)?;
+        let (width, height) = (manifest.texture.width, manifest.texture.height);
+        let rgb = |name: &str| {
+            exr_file::read_rgb(&folder.join(name), width, height)
+                .map_err(|what| damaged(name, what))
+        };
+        let ((diffuse, albedo), (confidence, mesh)) = rayon::join(
+            || rayon::join(|| rgb("diffuse.exr"), || rgb("albedo.exr")),
+            || {
+                rayon::join(
+                    || exr_file::read_gray(&folder.join("confidence.exr"), width, height),
+                    || mesh_file::read_ply(&folder.join("mesh.ply")),
+                )
+            },
+        );
+        let mesh = mesh.map_err(|what| damaged("mesh.ply", what))?;
+        let size = Vec2::new(width as f32, height as f32);
+        let corner_uvs = mesh
+            .corner_uvs
+            .iter()
+            .map(|corners| corners.map(|uv| Vec2::new(uv.x, 1.0 - uv.y) * size))
+            .collect();
+        Ok(Self {
+            name: manifest.name,
+            method: manifest.method,
+            brdf: manifest
+                .specular_model
+                .zip(manifest.sigma)
+                .map(|(model, sigma)| Brdf { model, sigma }),
+            chosen_because: manifest.chosen_because,
+            sigma_interval95: manifest.sigma_interval95,
+            grid,
+            radiance,
+            lamps: manifest
+                .lights
+                .into_iter()
+                .zip(node_lists)
+                .map(|(light, nodes)| SolutionLamp {
+                    name: light.name,
+                    direction: light.direction.into(),
+                    flux: light.flux.into(),
+                    angular_radius: light.angular_radius_deg.to_radians(),
+                    nodes,
+                })
+                .collect(),
+            ambient: manifest.ambient.into(),
+            diagnostics: manifest.diagnostics,
+            fit: manifest.fit,
+            timings: manifest
+                .timings_s
+                .into_iter()
+                .map(|(stage, seconds)| (stage, seconds.as_f64().unwrap_or(0.0)))
+                .collect(),
+            convergence: manifest.convergence,
+            mesh: Mesh {
+                positions: mesh.mesh.positions,
+                normals: mesh.mesh.normals,
+                uvs: Vec::new(),
+                triangles: mesh.mesh.triangles,
+            },
+            atlas: Atlas::from_corners(width, height, corner_uvs, manifest.texture.own_uvs),
+            diffuse: diffuse?,
+            albedo: albedo?,
+            confidence: confidence.map_err(|what| damaged("confidence.exr", what))?,
+            pictures: Vec::new(),
+        })
+    }
+}
+
+/// Fails if something that is no solution is in the way, so that this is known before any work is done.
+pub fn check_destination(folder: &Path) -> Result<(), SolutionError> {
+    let write = |source: io::Error| SolutionError::Write {
+        path: folder.to_owned(),
+        source,
+    };
+    if folder.exists() {
+        let empty = fs::read_dir(folder).map_err(write)?.next().is_none();
+        if !empty && !folder.join("solution.json").is_file() {
+            return Err(SolutionError::Occupied {
+                path: folder.to_owned(),
+            });
+        }
+    }
+    // Whether it can be written at all is best found out by trying.
+    Staging::beside(folder).map(drop).map_err(write)
+}
+
+/// The lighting of an estimate. Lit nodes that no lamp claims are its remainder.
+pub fn lighting<'a>(
+    grid: &HemisphereGrid,
+    radiance: &[[f32; 3]],
+    lamps: impl Iterator<Item = &'a [u32]>,
+    ambient: Vec3,
+) -> Lighting {
+    let node = |i: u32| LightNode {
+        direction: grid.directions[i as usize],
+        radiance: radiance[i as usize].into(),
+        solid_angle: grid.solid_angle,
+    };
+    let mut claimed = vec![false; radiance.len()];
+    let lamps: Vec<LampNodes> = lamps
+        .filter_map(|nodes| {
+            for &i in nodes {
+                claimed[i as usize] = true;
+            }
+            LampNodes::new(nodes.iter().map(|&i| node(i)).collect(), grid.radius)
+        })
+        .collect();
+    Lighting {
+        lamps,
+        remainder: (0..radiance.len() as u32)
+            .filter(|&i| !claimed[i as usize] && radiance[i as usize] != [0.0; 3])
+            .map(node)
+            .collect(),
+        environment: Vec::new(),
+        ambient,
+        centre: grid.centre,
+        radius: grid.radius,
+        up: grid.up,
+    }
+}
+
+fn to_map(timings: &[(String, f64)]) -> serde_json::Map<String, serde_json::Value> {
+    timings
+        .iter()
+        .map(|(stage, seconds)| (stage.clone(), (*seconds).into()))
+        .collect()
+}
+
+fn write_json(path: &Path, value: &impl serde::Serialize, pretty: bool) -> io::Result<()> {
+    let text = if pretty {
+        serde_json::to_vec_pretty(value)
+    } else {
+        serde_json::to_vec(value)
+    };
+    fs::write(path, text.map_err(io::Error::other)?)
+}
+
+fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, SolutionError> {
+    let text = fs::read(path).map_err(|source| SolutionError::Read {
+        path: path.to_owned(),
+        source,
+    })?;
+    serde_json::from_slice(&text).map_err(|source| SolutionError::Json {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+fn read_manifest(folder: &Path, path: &Path) -> Result<Manifest, SolutionError> {
+    if !path.is_file() {
+        return Err(SolutionError::Missing {
+            path: folder.to_owned(),
+        });
+    }
+    let head: Head = read_json(path)?;
+    if head.format != FORMAT {
+        return Err(SolutionError::Format {
+            path: path.to_owned(),
+            found: head.format,
+        });
+    }
+    if head.version > VERSION {
+        return Err(SolutionError::Newer {
+            path: path.to_owned(),
+            found: head.version,
+            supported: VERSION,
+        });
+    }
+    read_json(path)
+}
+
+/// Radiance of every node, and the lamps' nodes.
+#[expect(
+    clippy::type_complexity,
+    reason = "two lists that are taken apart at once"
+)]
+fn read_nodes(
+    folder: &Path,
+    manifest: &Manifest,
+) -> Result<(Vec<[f32; 3]>, Vec<Vec<u32>>), SolutionError> {
+    let path = folder.join("nodes.json");
+    let nodes: Nodes = read_json(&path)?;
+    let count = manifest.hemisphere.nodes;
+    let in_range = |&i: &u32| (i as usize) < count;
+    let sound = nodes
+        .lit
+        .iter()
+        .all(|(i, r)| in_range(i) && r.iter().all(|v| v.is_finite() && *v >= 0.0))
+        && nodes.lights.iter().flatten().all(in_range)
+        && nodes.lights.len() == manifest.lights.len();
+    if !sound {
+        return Err(SolutionError::Damaged {
+            path,
+            what: "its nodes do not fit solution.json, or have a radiance that is negative or not finite".to_owned(),
+        });
+    }
+    let mut radiance = vec![[0.0; 3]; count];
+    for (i, r) in nodes.lit {
+        radiance[i as usize] = r;
+    }
+    Ok((radiance, nodes.lights))
+}
+
+/// The hemisphere that the manifest describes, if everything in it makes sense.
+fn check_manifest(manifest: &Manifest) -> Result<HemisphereGrid, String> {
+    let hemisphere = &manifest.hemisphere;
+    if !(1..=200).contains(&hemisphere.frequency) {
+        return Err(format!(
+            "the hemisphere's frequency is {}",
+            hemisphere.frequency
+        ));
+    }
+    if (Vec3::from(hemisphere.up).length() - 1.0).abs() > 1e-3 {
+        return Err("the hemisphere's up is no unit vector".to_owned());
+    }
+    if hemisphere
+        .radius
+        .is_some_and(|r| !(r > 0.0 && r.is_finite()))
+    {
+        return Err("the hemisphere's radius is not positive".to_owned());
+    }
+    if manifest.sigma.is_some_and(|s| !(s > 0.0 && s < 2.0)) {
+        return Err("sigma is out of range".to_owned());
+    }
+    if manifest.sigma.is_some() != manifest.specular_model.is_some() {
+        return Err("sigma and specular_model do not fit together".to_owned());
+    }
+    if manifest
+        .ambient
+        .iter()
+        .any(|a| !(a.is_finite() && *a >= 0.0))
+    {
+        return Err("the ambient part is negative".to_owned());
+    }
+    let grid = HemisphereGrid::new(
+        hemisphere.frequency,
+        hemisphere.up.into(),
+        hemisphere.radius,
+        hemisphere.centre.into(),
+    );
+    if grid.directions.len() != hemisphere.nodes {
+        return Err(format!(
+            "{} nodes are stated where the frequency gives {}",
+            hemisphere.nodes,
+            grid.directions.len()
+        ));
+    }
+    Ok(grid)
+}

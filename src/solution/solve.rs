@@ -1,0 +1,232 @@
+//! From a capture to a solution: all rooms in their order.
+
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use glam::Vec3;
+
+use super::{Fit, HemispherePicture, Solution, SolutionLamp, lighting};
+use crate::capture::Capture;
+use crate::estimate::{
+    Diagnostics, Estimate, EstimateInput, EstimateParams, Iteration, Observer, Stopped, estimate,
+};
+use crate::hemisphere::{
+    HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
+    seen_from_above,
+};
+use crate::relight::{Scene, Shader, ViewFit, reconstruct, separate};
+use crate::surface::{Atlas, Occluder, ViewSurface, minimum_texture, wanted_density};
+
+/// Texels per pixel, along each side, where a view shows the surface largest.
+const TEXELS_PER_PIXEL: f32 = 1.0;
+/// Views that may miss a light that the initial hemisphere keeps (the n of 2.2).
+const MISSING_VIEWS: usize = 2;
+/// Side of a hemisphere's picture in pixels.
+const PICTURE_SIDE: u32 = 256;
+
+/// Parts of a solve, with the share of the whole that is done when each begins.
+const SURFACE: (&str, f32) = ("finding what each view sees", 0.02);
+const HEMISPHERES: (&str, f32) = ("collecting highlights on the hemisphere", 0.10);
+const ESTIMATE: (&str, f32) = ("estimating roughness and lights", 0.15);
+const TEXTURE: (&str, f32) = ("reconstructing the texture", 0.70);
+const ALBEDO: (&str, f32) = ("separating texture and shading", 0.90);
+
+/// What a solve is asked to do.
+#[derive(Clone, Copy, Debug)]
+pub struct SolveOptions {
+    /// Method and specular model.
+    pub estimate: EstimateParams,
+    /// Frequency of the geodesic hemisphere.
+    pub frequency: u32,
+    /// Distance of the lights in place of the one that the capture states.
+    pub radius: Option<f32>,
+}
+
+/// Passes an estimation's progress on as a part of the whole.
+struct Part<'a> {
+    observer: &'a mut dyn Observer,
+}
+
+impl Observer for Part<'_> {
+    fn progress(&mut self, what: &str, fraction: f32) -> ControlFlow<()> {
+        let whole = ESTIMATE.1 + fraction * (TEXTURE.1 - ESTIMATE.1);
+        self.observer.progress(what, whole)
+    }
+
+    fn iteration(
+        &mut self,
+        iteration: &Iteration,
+        hemisphere: &dyn Fn() -> Vec<[f32; 3]>,
+    ) -> ControlFlow<()> {
+        self.observer.iteration(iteration, hemisphere)
+    }
+}
+
+/// Seconds of each stage.
+struct Clock {
+    since: Instant,
+    stages: Vec<(String, f64)>,
+}
+
+impl Clock {
+    fn lap(&mut self, stage: &str) {
+        self.stages
+            .push((stage.to_owned(), self.since.elapsed().as_secs_f64()));
+        self.since = Instant::now();
+    }
+}
+
+/// Solves a capture. `load_s` is how long it took to read, in seconds.
+pub fn solve(
+    capture: &Capture,
+    options: &SolveOptions,
+    load_s: f64,
+    observer: &mut dyn Observer,
+) -> Result<Solution, Stopped> {
+    let mut clock = Clock {
+        since: Instant::now(),
+        stages: vec![("load".to_owned(), load_s)],
+    };
+    let mesh = &capture.mesh;
+    report(observer, SURFACE)?;
+    let occluder = Occluder::new(mesh);
+    let surfaces: Vec<ViewSurface> = capture
+        .views
+        .iter()
+        .map(|view| ViewSurface::new(mesh, &occluder, &view.camera))
+        .collect();
+    let density = wanted_density(mesh, &capture.views, &surfaces, TEXELS_PER_PIXEL);
+    let atlas = Atlas::new(mesh, &density);
+    let grid = hemisphere(capture, options);
+    clock.lap("surface");
+
+    report(observer, HEMISPHERES)?;
+    let pictures = hemispheres(capture, &surfaces, &atlas, &grid);
+    clock.lap("hemispheres");
+
+    report(observer, ESTIMATE)?;
+    let input = EstimateInput {
+        capture,
+        surfaces: &surfaces,
+        occluder: &occluder,
+        grid: &grid,
+    };
+    let found = estimate(&input, &options.estimate, &mut Part { observer })?;
+    drop(surfaces);
+    clock.lap("estimate");
+
+    report(observer, TEXTURE)?;
+    let lamps = name_lamps(&grid, &found);
+    let lamp_nodes = lamps.iter().map(|l| &l.nodes[..]);
+    let light = lighting(&grid, &found.radiance, lamp_nodes, Vec3::ZERO);
+    let scene = Scene {
+        mesh,
+        occluder: &occluder,
+        brdf: found.brdf,
+    };
+    let shader = Shader::new(&occluder, found.brdf, &light);
+    let mut texture = reconstruct(&scene, &capture.views, &atlas, &shader);
+    clock.lap("texture");
+    report(observer, ALBEDO)?;
+    let albedo = separate(&scene, &atlas, &shader, &mut texture);
+    clock.lap("albedo");
+
+    let mut warnings = capture.warnings.clone();
+    warnings.extend(atlas.warnings.iter().cloned());
+    warnings.extend(found.diagnostics.warnings.iter().cloned());
+    Ok(Solution {
+        name: capture.name.clone(),
+        method: found.method,
+        brdf: found.brdf,
+        chosen_because: found.chosen_because,
+        sigma_interval95: found.sigma_interval95,
+        grid,
+        radiance: found.radiance,
+        lamps,
+        ambient: albedo.ambient,
+        diagnostics: Diagnostics {
+            warnings,
+            ..found.diagnostics
+        },
+        fit: summarise(&texture.fit),
+        timings: clock.stages,
+        convergence: found.convergence,
+        mesh: mesh.clone(),
+        atlas,
+        diffuse: texture.radiance,
+        albedo: albedo.albedo,
+        confidence: texture.confidence,
+        pictures,
+    })
+}
+
+fn report(observer: &mut dyn Observer, (what, fraction): (&str, f32)) -> Result<(), Stopped> {
+    match observer.progress(what, fraction) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Stopped),
+    }
+}
+
+/// The nodes on which lights are sought.
+fn hemisphere(capture: &Capture, options: &SolveOptions) -> HemisphereGrid {
+    let stated = capture.light_hemisphere.radius.map(|r| r as f32);
+    HemisphereGrid::new(
+        options.frequency,
+        capture.light_hemisphere.up.as_vec3(),
+        options.radius.or(stated),
+        capture.mesh.centre(),
+    )
+}
+
+/// Pictures of the initial hemisphere and of each view's partial one (2.2).
+fn hemispheres(
+    capture: &Capture,
+    surfaces: &[ViewSurface],
+    atlas: &Atlas,
+    grid: &HemisphereGrid,
+) -> Vec<HemispherePicture> {
+    let minimum = minimum_texture(&capture.mesh, atlas, &capture.views, surfaces);
+    let partials: Vec<PartialHemisphere> = capture
+        .views
+        .iter()
+        .zip(surfaces)
+        .map(|(view, surface)| {
+            SpecularImage::new(&capture.mesh, atlas, &minimum, view, surface)
+                .partial_hemisphere(grid, view.camera.position().as_vec3())
+        })
+        .collect();
+    let missing = MISSING_VIEWS.min(partials.len().saturating_sub(2));
+    let initial = InitialHemisphere::new(&partials, missing);
+    let picture = |name: String, radiance: &[[f32; 3]]| HemispherePicture {
+        name,
+        picture: seen_from_above(grid, radiance, PICTURE_SIDE),
+    };
+    let mut pictures = vec![picture("initial".to_owned(), &initial.radiance)];
+    for (i, partial) in partials.iter().enumerate() {
+        pictures.push(picture(format!("partial_{i:03}"), &partial.radiance));
+    }
+    pictures
+}
+
+fn name_lamps(grid: &HemisphereGrid, found: &Estimate) -> Vec<SolutionLamp> {
+    find_lamps(grid, &found.radiance)
+        .into_iter()
+        .enumerate()
+        .map(|(i, lamp)| SolutionLamp {
+            name: format!("Light {}", i + 1),
+            direction: lamp.direction,
+            flux: lamp.flux.into(),
+            angular_radius: lamp.angular_radius,
+            nodes: lamp.nodes,
+        })
+        .collect()
+}
+
+fn summarise(views: &[ViewFit]) -> Fit {
+    let squared: f64 = views.iter().map(|v| v.squared).sum();
+    let count: usize = views.iter().map(|v| v.count).sum();
+    Fit {
+        residual_rms: (squared / count.max(1) as f64).sqrt(),
+        psnr_db_per_view: views.iter().map(|v| v.psnr_db).collect(),
+    }
+}

@@ -1,0 +1,147 @@
+//! Results appear whole or not at all: files are written into a folder beside their destination, which is renamed into
+//! place at the end and removed if anything goes wrong before.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Folders being written, so that an interrupted program can take them away.
+static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
+    UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes everything half-written. For a program that is about to exit: writers still running fail from now on.
+pub fn remove_unfinished() {
+    for path in unfinished().drain(..) {
+        // A writer may put one more file into the folder while it is being emptied.
+        for _ in 0..20 {
+            if fs::remove_dir_all(&path).is_ok() || !path.exists() {
+                break;
+            }
+        }
+    }
+}
+
+/// A folder that becomes the result, or vanishes.
+#[derive(Debug)]
+pub struct Staging {
+    path: PathBuf,
+    target: PathBuf,
+}
+
+impl Staging {
+    /// An empty folder beside `target`; missing parents are made.
+    pub fn beside(target: &Path) -> io::Result<Self> {
+        let name = target
+            .file_name()
+            .ok_or_else(|| io::Error::other("the path does not end in a folder's name"))?
+            .to_string_lossy()
+            .into_owned();
+        let parent = match target.parent() {
+            Some(p) if !p.as_os_str().is_empty() => p,
+            _ => Path::new("."),
+        };
+        fs::create_dir_all(parent)?;
+        let path = parent.join(format!(".{name}.unfinished-{}", std::process::id()));
+        if path.exists() {
+            // Left behind by a killed process that had the same id.
+            fs::remove_dir_all(&path)?;
+        }
+        unfinished().push(path.clone());
+        let staging = Self {
+            path,
+            target: target.to_owned(),
+        };
+        fs::create_dir(&staging.path)?;
+        Ok(staging)
+    }
+
+    /// The folder to write into.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Puts the folder in the place of the target, which is removed if it exists.
+    pub fn replace(self) -> io::Result<()> {
+        if !self.target.exists() {
+            return fs::rename(&self.path, &self.target);
+        }
+        let old = self.path.with_extension("old");
+        fs::rename(&self.target, &old)?;
+        if let Err(error) = fs::rename(&self.path, &self.target) {
+            fs::rename(&old, &self.target)?;
+            return Err(error);
+        }
+        fs::remove_dir_all(&old)
+    }
+
+    /// Moves the folder's files into the target, which may hold others.
+    pub fn add(self) -> io::Result<()> {
+        if !self.target.exists() {
+            return fs::rename(&self.path, &self.target);
+        }
+        let mut names: Vec<PathBuf> = fs::read_dir(&self.path)?
+            .map(|entry| entry.map(|e| PathBuf::from(e.file_name())))
+            .collect::<io::Result<_>>()?;
+        names.sort();
+        for name in names {
+            fs::rename(self.path.join(&name), self.target.join(&name))?;
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Staging {
+    fn drop(&mut self) {
+        unfinished().retain(|p| *p != self.path);
+        // Renamed into place it is no longer there.
+        let _ = fs::remove_dir_all(&self.path);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_abandoned_folder_leaves_nothing() {
+        let parent = tempfile::tempdir().unwrap();
+        let staging = Staging::beside(&parent.path().join("result")).unwrap();
+        fs::write(staging.path().join("half"), "x").unwrap();
+        drop(staging);
+        assert_eq!(fs::read_dir(parent.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_result_replaces_the_old_one_whole() {
+        let parent = tempfile::tempdir().unwrap();
+        let target = parent.path().join("deep/result");
+        for content in ["old", "new"] {
+            let staging = Staging::beside(&target).unwrap();
+            fs::write(staging.path().join(content), content).unwrap();
+            staging.replace().unwrap();
+        }
+        let names: Vec<_> = fs::read_dir(&target)
+            .unwrap()
+            .map(|e| e.unwrap().file_name())
+            .collect();
+        assert_eq!(names, ["new"]);
+        assert_eq!(fs::read_dir(target.parent().unwrap()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn pictures_join_what_is_there() {
+        let parent = tempfile::tempdir().unwrap();
+        let target = parent.path().join("pictures");
+        fs::create_dir(&target).unwrap();
+        fs::write(target.join("other"), "x").unwrap();
+        let staging = Staging::beside(&target).unwrap();
+        fs::write(staging.path().join("one"), "1").unwrap();
+        staging.add().unwrap();
+        assert!(target.join("other").exists() && target.join("one").exists());
+        assert_eq!(fs::read_dir(parent.path()).unwrap().count(), 1);
+    }
+}
