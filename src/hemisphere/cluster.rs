@@ -5,8 +5,9 @@
 //! (watershed), is one candidate; two hills are one lamp if the pass between them is at least [`PASS`] times as high as
 //! the lower one. Two equal spikes become one lamp up to about 5° apart, and two lamps of 3° radius 10° apart stay two even
 //! where one has a tenth of the other's flux. The foot of a hill below [`FOOT`] of its top belongs to no lamp, so that a
-//! faint floor of light all over the hemisphere does not widen every lamp. Hills with less than [`SPECK`] of all flux are
-//! specks: one within [`REACH`] of a lamp's edge joins the lamp; the others, like the feet, are the rest (see [`rest`]).
+//! faint floor of light all over the hemisphere does not widen every lamp. Hills with less than [`SPECK`] of all flux, or
+//! lower than [`SPECK`] of the highest, are specks: one within [`REACH`] of a lamp's edge joins the lamp; the others, like
+//! the feet, are the rest (see [`rest`]).
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -19,7 +20,7 @@ const SMOOTHING: f32 = 1.5 * std::f32::consts::PI / 180.0;
 const PASS: f32 = 0.5;
 /// Height relative to its top below which a hill ends.
 const FOOT: f32 = 0.02;
-/// Share of the whole flux below which a hill is a speck.
+/// Share of the whole flux, and of the highest hill's height, below which a hill is a speck.
 const SPECK: f64 = 0.002;
 /// How far beyond a lamp's angular radius a speck still joins it, in radians: 4°.
 const REACH: f32 = 4.0 * std::f32::consts::PI / 180.0;
@@ -182,11 +183,12 @@ pub fn find_lamps(grid: &HemisphereGrid, radiance: &[[f32; 3]]) -> Vec<Lamp> {
             members[h as usize].push(node as u32);
         }
     }
+    let highest = tops.iter().copied().fold(0.0, f32::max);
     let (mut lamps, mut specks) = (Vec::new(), Vec::new());
-    for nodes in members {
+    for (nodes, top) in members.into_iter().zip(tops) {
         let share: f64 = nodes.iter().map(|&n| weights[n as usize]).sum::<f64>() / total;
         if let Some(lamp) = Lamp::new(grid, radiance, nodes) {
-            if share >= SPECK {
+            if share >= SPECK && f64::from(top) >= SPECK * f64::from(highest) {
                 lamps.push(lamp);
             } else {
                 specks.push(lamp);

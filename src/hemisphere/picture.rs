@@ -324,8 +324,8 @@ mod tests {
             radiance: vec![[100.0; 3], [1.0; 3], [0.0; 3]],
         };
         assert_eq!(
-            picture.to_rgb8(Exposure::Log { decades: 4.0 }),
-            [[255; 3], [128; 3], [0; 3]]
+            picture.to_rgb8(Exposure::Log { decades: 8.0 }),
+            [[255; 3], [191; 3], [0; 3]]
         );
         assert_eq!(
             picture.to_rgb8(Exposure::Linear { white: 1.0 }),

@@ -490,17 +490,16 @@ mod tests {
     fn bad_texture_coordinates_are_not_used() {
         let good = bumpy_sphere(40, 0.0);
         let density = vec![60.0; good.triangles.len()];
-        let changes: [(&str, fn(Vec2) -> Vec2); 5] = [
-            ("outside", |uv| uv * 1.2),
-            ("folded", |uv| Vec2::new((uv.x - 0.5).abs(), uv.y)),
-            ("one point", |_| Vec2::splat(0.5)),
-            ("a line", |uv| Vec2::new(uv.x, 0.5)),
-            ("not a number", |uv| uv * f32::NAN),
-        ];
-        for (name, change) in changes {
+        for name in ["outside", "folded", "one point", "a line", "not a number"] {
             let mut mesh = good.clone();
             for uv in &mut mesh.uvs {
-                *uv = change(*uv);
+                *uv = match name {
+                    "outside" => *uv * 1.2,
+                    "folded" => Vec2::new((uv.x - 0.5).abs(), uv.y),
+                    "one point" => Vec2::splat(0.5),
+                    "a line" => Vec2::new(uv.x, 0.5),
+                    _ => Vec2::NAN,
+                };
             }
             assert!(!Atlas::new(&mesh, &density).own_uvs, "{name}");
         }

@@ -13,7 +13,7 @@ use super::visible::{NO_TRIANGLE, ViewSurface};
 use crate::capture::{Mesh, Photograph, SurfacePoint, View};
 
 /// Views that see a point at a smaller cosine to its normal count only where there is no better one: the image smears the
-/// surface there, and eq. 4 amplifies what is wrong by 1/cos θ_r.
+/// surface there, and eq. 4 amplifies what is wrong by 1/cos θᵣ.
 pub const GRAZING: f32 = 0.15;
 /// Coverage from which a pixel shows nothing but the object.
 pub const FULL_COVERAGE: f32 = 0.999;
@@ -23,7 +23,7 @@ pub const FULL_COVERAGE: f32 = 0.999;
 pub struct Observation {
     /// Index of the view.
     pub view: u32,
-    /// Cosine of the angle between the shading normal and the direction to the camera, cos θ_r.
+    /// Cosine of the angle between the shading normal and the direction to the camera, cos θᵣ.
     pub cosine: f32,
     /// Radiance towards the camera, RGB, bilinear between pixel centres.
     pub radiance: Vec3,
@@ -34,7 +34,7 @@ pub struct Observation {
 pub struct DiffuseTexture {
     /// Diffuse radiance, RGB, one per texel of the atlas.
     pub radiance: Vec<[f32; 3]>,
-    /// Σ cos θ_r over the views that see the texel, one per texel: 0 where none does, and around 1 or less where one view
+    /// Σ cos θᵣ over the views that see the texel, one per texel: 0 where none does, and around 1 or less where one view
     /// alone says nothing about how much of it is specular.
     pub confidence: Vec<f32>,
 }
@@ -175,7 +175,7 @@ pub fn minimum_texture(
     texture
 }
 
-/// The colour of least magnitude and Σ cos θ_r. Grazing views are heard only where there is no other.
+/// The colour of least magnitude and Σ cos θᵣ. Grazing views are heard only where there is no other.
 fn least(observations: impl Iterator<Item = Observation>) -> (Vec3, f32) {
     let mut confidence = 0.0;
     let mut best: Option<(bool, f32, Vec3)> = None;
