@@ -4,7 +4,7 @@
 //! Where no estimated light reaches the surface, or no view saw it, there is nothing to divide: such texels are filled
 //! from their surroundings by diffusion over the mesh, and the confidence says so.
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::diffuse::DiffuseTexture;
@@ -14,6 +14,8 @@ use crate::surface::Atlas;
 
 /// Texels along each side of a tile, the unit of work.
 const TILE: usize = 32;
+/// Triangles of at most this many texels have one visibility unless a shadow's edge is near.
+const SMALL_TRIANGLE: u32 = 40;
 /// Irradiance below this part of the typical one says nothing about the albedo …
 const DARK: f32 = 0.01;
 /// … and above this part says all.
@@ -78,36 +80,109 @@ pub fn separate(
     }
 }
 
+/// A surface point with its triangle's plane.
+fn shading_point(scene: &Scene, triangle: u32, barycentric: Vec2) -> ShadingPoint {
+    let point = scene.mesh.point(triangle, barycentric);
+    let face_normal = scene.mesh.face_normal(triangle);
+    ShadingPoint {
+        position: point.position,
+        normal: point.normal,
+        face_normal: if face_normal == Vec3::ZERO {
+            point.normal
+        } else {
+            face_normal
+        },
+    }
+}
+
+/// What whole triangles see of each lamp: a triangle of few texels has the visibility of its centroid where all its
+/// neighbours' centroids have the same. `None` for triangles that are larger or lie at a shadow's edge.
+fn triangle_visibility(
+    scene: &Scene,
+    atlas: &Atlas,
+    shader: &Shader,
+) -> Vec<Option<Vec<Visibility>>> {
+    let mesh = scene.mesh;
+    let mut texels = vec![0_u32; mesh.triangles.len()];
+    for texel in atlas.texels.iter().filter(|t| !t.gutter) {
+        texels[texel.triangle as usize] += 1;
+    }
+    let groups = shader.groups();
+    let seen: Vec<Vec<Visibility>> = (0..mesh.triangles.len() as u32)
+        .into_par_iter()
+        .map(|t| {
+            if texels[t as usize] > SMALL_TRIANGLE {
+                return Vec::new();
+            }
+            let centroid = shading_point(scene, t, Vec2::splat(1.0 / 3.0));
+            (0..groups).map(|g| shader.cast(&centroid, g)).collect()
+        })
+        .collect();
+    let welded = weld(&mesh.positions);
+    let places = welded.iter().map(|&w| w as usize + 1).max().unwrap_or(0);
+    // What all triangles around a place agree on.
+    let mut around: Vec<Option<u32>> = vec![None; places];
+    let mut agreed = vec![true; places];
+    let plain = |v: &[Visibility]| {
+        v.len() == groups
+            && v.iter().all(|v| {
+                matches!(
+                    v,
+                    Visibility::Whole | Visibility::Hidden | Visibility::Below
+                )
+            })
+    };
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        for &v in triangle {
+            let place = welded[v as usize] as usize;
+            match around[place] {
+                None => {
+                    around[place] = Some(t as u32);
+                    agreed[place] = plain(&seen[t]);
+                }
+                Some(first) => agreed[place] &= seen[first as usize] == seen[t],
+            }
+        }
+    }
+    seen.into_iter()
+        .zip(&mesh.triangles)
+        .map(|(seen, triangle)| {
+            let sure = triangle
+                .iter()
+                .all(|&v| agreed[welded[v as usize] as usize]);
+            sure.then_some(seen)
+        })
+        .collect()
+}
+
 /// Irradiance of every texel, zero outside the atlas.
 fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Vec3> {
     let (width, height) = (atlas.width as usize, atlas.height as usize);
-    let mut points: Vec<Option<ShadingPoint>> = vec![None; width * height];
-    let shading_points: Vec<(u32, ShadingPoint)> = atlas
+    let triangles = triangle_visibility(scene, atlas, shader);
+    // Texels of plain triangles at once; the others are left for their tiles.
+    let first: Vec<(u32, Result<Vec3, ShadingPoint>)> = atlas
         .texels
         .par_iter()
         .map(|texel| {
-            let point = scene.mesh.point(texel.triangle, texel.barycentric);
-            let face_normal = scene.mesh.face_normal(texel.triangle);
-            (
-                texel.index,
-                ShadingPoint {
-                    position: point.position,
-                    normal: point.normal,
-                    face_normal: if face_normal == Vec3::ZERO {
-                        point.normal
-                    } else {
-                        face_normal
-                    },
-                },
-            )
+            let point = shading_point(scene, texel.triangle, texel.barycentric);
+            let value = match &triangles[texel.triangle as usize] {
+                Some(seen) => Ok(shader.irradiance(&point, seen)),
+                None => Err(point),
+            };
+            (texel.index, value)
         })
         .collect();
-    for (index, point) in shading_points {
-        points[index as usize] = Some(point);
+    let mut irradiance = vec![Vec3::ZERO; width * height];
+    let mut points: Vec<Option<ShadingPoint>> = vec![None; width * height];
+    for (index, value) in first {
+        match value {
+            Ok(value) => irradiance[index as usize] = value,
+            Err(point) => points[index as usize] = Some(point),
+        }
     }
     let spacing = texel_spacing(scene, atlas);
     let columns = width.div_ceil(TILE);
-    let tiles: Vec<Vec<Vec3>> = (0..columns * height.div_ceil(TILE))
+    let tiles: Vec<Vec<(usize, Vec3)>> = (0..columns * height.div_ceil(TILE))
         .into_par_iter()
         .map(|tile| {
             let (x, y) = (tile % columns * TILE, tile / columns * TILE);
@@ -116,29 +191,23 @@ fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Vec3> 
                 .flat_map(|row| points[row * width + x..row * width + x + w].iter().copied())
                 .collect();
             if local.iter().all(Option::is_none) {
-                return vec![Vec3::ZERO; w * h];
+                return Vec::new();
             }
             let groups = shader.groups();
             let seen: Vec<Visibility> = shader.visibility(&local, w, spacing, &|_, _| true);
             local
                 .iter()
                 .enumerate()
-                .map(|(i, point)| {
-                    point.as_ref().map_or(Vec3::ZERO, |p| {
-                        shader.irradiance(p, &seen[i * groups..(i + 1) * groups])
-                    })
+                .filter_map(|(i, point)| {
+                    let point = point.as_ref()?;
+                    let value = shader.irradiance(point, &seen[i * groups..(i + 1) * groups]);
+                    Some(((y + i / w) * width + x + i % w, value))
                 })
                 .collect()
         })
         .collect();
-    let mut irradiance = vec![Vec3::ZERO; width * height];
-    for (tile, values) in tiles.iter().enumerate() {
-        let (x, y) = (tile % columns * TILE, tile / columns * TILE);
-        let w = TILE.min(width - x);
-        for (row, line) in values.chunks(w).enumerate() {
-            let start = (y + row) * width + x;
-            irradiance[start..start + w].copy_from_slice(line);
-        }
+    for (index, value) in tiles.into_iter().flatten() {
+        irradiance[index] = value;
     }
     irradiance
 }

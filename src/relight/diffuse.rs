@@ -21,7 +21,7 @@ use crate::surface::Atlas;
 /// Sub-samples of all views together: the more pixels, the fewer each has.
 const MAX_SAMPLES: usize = 24 << 20;
 /// Rounds of back-projection.
-const ITERATIONS: usize = 6;
+const ITERATIONS: usize = 5;
 /// Step of each: SIRT converges below 2.
 const RELAXATION: f32 = 1.4;
 /// Part of the specular radiance that is taken for its standard error.
@@ -161,7 +161,7 @@ fn sampling_factor(views: &[View]) -> u32 {
         .iter()
         .map(|v| (v.camera.width * v.camera.height) as usize / 3)
         .sum();
-    (1..=3)
+    (1..=2)
         .rev()
         .find(|f| pixels * (f * f) as usize <= MAX_SAMPLES)
         .unwrap_or(1)

@@ -39,6 +39,10 @@ use format::{FORMAT, Head, Hemisphere, Light, Manifest, Nodes, Texture, VERSION}
 
 /// Rows of the lat-long picture: a node is some three pixels tall at frequency 70.
 const LATLONG_ROWS: u32 = 512;
+/// Angular radius up to which a lamp is taken for a disc, radians: 6°.
+const COMPACT: f32 = 0.105;
+/// Lit nodes outside all lamps that are kept apart.
+const MAX_STRAYS: usize = 24;
 
 /// A lamp that the estimate found.
 #[derive(Clone, Debug, PartialEq)]
@@ -109,12 +113,7 @@ pub struct Solution {
 impl Solution {
     /// The light of the capture, ready to be edited.
     pub fn lighting(&self) -> Lighting {
-        lighting(
-            &self.grid,
-            &self.radiance,
-            self.lamps.iter().map(|l| &l.nodes[..]),
-            self.ambient,
-        )
+        lighting(&self.grid, &self.radiance, &self.lamps, self.ambient)
     }
 
     /// What `solution.json` says.
@@ -363,11 +362,13 @@ pub fn check_destination(folder: &Path) -> Result<(), SolutionError> {
     Staging::beside(folder).map(drop).map_err(write)
 }
 
-/// The lighting of an estimate. Lit nodes that no lamp claims are its remainder.
-pub fn lighting<'a>(
+/// The lighting of an estimate. A compact lamp shines as a uniform disc with its direction, flux and extent: single nodes of
+/// a solved lamp are spiky, and a shadow's soft edge would show each of them. Wider lamps keep their nodes. Lit nodes that
+/// no lamp claims are the remainder.
+pub fn lighting(
     grid: &HemisphereGrid,
     radiance: &[[f32; 3]],
-    lamps: impl Iterator<Item = &'a [u32]>,
+    lamps: &[SolutionLamp],
     ambient: Vec3,
 ) -> Lighting {
     let node = |i: u32| LightNode {
@@ -376,26 +377,54 @@ pub fn lighting<'a>(
         solid_angle: grid.solid_angle,
     };
     let mut claimed = vec![false; radiance.len()];
+    for &i in lamps.iter().flat_map(|l| &l.nodes) {
+        claimed[i as usize] = true;
+    }
     let lamps: Vec<LampNodes> = lamps
-        .filter_map(|nodes| {
-            for &i in nodes {
-                claimed[i as usize] = true;
+        .iter()
+        .filter_map(|lamp| {
+            if lamp.angular_radius < COMPACT {
+                let extent = lamp.angular_radius.max(0.5 * grid.spacing());
+                return Some(LampNodes::disc(
+                    lamp.direction,
+                    lamp.flux,
+                    extent,
+                    grid.radius,
+                ));
             }
-            LampNodes::new(nodes.iter().map(|&i| node(i)).collect(), grid.radius)
+            LampNodes::new(lamp.nodes.iter().map(|&i| node(i)).collect(), grid.radius)
         })
+        .collect();
+    let strays = (0..radiance.len() as u32)
+        .filter(|&i| !claimed[i as usize] && radiance[i as usize] != [0.0; 3])
+        .map(node)
         .collect();
     Lighting {
         lamps,
-        remainder: (0..radiance.len() as u32)
-            .filter(|&i| !claimed[i as usize] && radiance[i as usize] != [0.0; 3])
-            .map(node)
-            .collect(),
+        remainder: strongest(strays),
         environment: Vec::new(),
         ambient,
         centre: grid.centre,
         radius: grid.radius,
         up: grid.up,
     }
+}
+
+/// At most [`MAX_STRAYS`] nodes, the strongest; each takes the light of the weaker ones it is nearest to.
+fn strongest(mut strays: Vec<LightNode>) -> Vec<LightNode> {
+    let strength = |n: &LightNode| n.flux().element_sum();
+    strays.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
+    let weaker = strays.split_off(strays.len().min(MAX_STRAYS));
+    for node in weaker {
+        let closeness = |n: &LightNode| n.direction.dot(node.direction);
+        let nearest = strays
+            .iter_mut()
+            .max_by(|a, b| closeness(a).total_cmp(&closeness(b)));
+        if let Some(nearest) = nearest {
+            nearest.radiance += node.radiance;
+        }
+    }
+    strays
 }
 
 fn to_map(timings: &[(String, f64)]) -> serde_json::Map<String, serde_json::Value> {

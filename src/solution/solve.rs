@@ -117,8 +117,7 @@ pub fn solve(
 
     report(observer, TEXTURE)?;
     let lamps = name_lamps(&grid, &found);
-    let lamp_nodes = lamps.iter().map(|l| &l.nodes[..]);
-    let light = lighting(&grid, &found.radiance, lamp_nodes, Vec3::ZERO);
+    let light = lighting(&grid, &found.radiance, &lamps, Vec3::ZERO);
     let scene = Scene {
         mesh,
         occluder: &occluder,
