@@ -30,9 +30,12 @@ pub const COARSEST: u32 = 11;
 /// Points on the coarsest cells.
 const COARSE_POINTS: usize = 1500;
 
-/// Pixels looked at for points that could show a lit cell, and the most that are kept of them.
+/// Pixels looked at for points that could show a lit cell.
 const FINE_CANDIDATES: usize = 24_000;
-const FINE_POINTS: usize = 6000;
+
+/// Most points that take part on cells between the coarsest and the finest, and on the finest.
+const MIDDLE_POINTS: usize = 1800;
+const FINE_POINTS: usize = 5000;
 
 /// Cells past about this number stay coarse, the dimmest first.
 const MOST_CELLS: usize = 700;
@@ -42,6 +45,9 @@ const LEAST_SHARE: f32 = 2e-3;
 
 /// A cell with less than this share of the flux is taken as dark.
 const DARK_SHARE: f32 = 2e-4;
+
+/// Rings of dark cells that are kept around lit ones while σ settles.
+const MARGIN: usize = 2;
 
 /// A lobe below this share of its peak says nothing worth a row.
 const LEAST_LOBE: f32 = 0.02;
@@ -131,8 +137,8 @@ impl Solver<'_> {
 
     /// Goes on from a coarse fit to single nodes.
     pub fn fine_fit(&self, coarse: &State<'_>, watch: &mut Watch<'_>) -> Result<Fit, Stopped> {
-        let colour = self.fine_observations(coarse);
-        let gray = colour.to_gray();
+        let gray = self.fine_observations(coarse, MIDDLE_POINTS).to_gray();
+        let colour = self.fine_observations(coarse, FINE_POINTS);
         let mut state = coarse.clone();
         let mut step = None;
         for level in 1..=self.pyramid.finest() {
@@ -142,8 +148,11 @@ impl Solver<'_> {
             ))?;
             let last = level == self.pyramid.finest();
             state = self.refine(&state, if last { &colour } else { &gray });
-            let (rounds, precision) = if last { (8, EXACT) } else { (2, ROUGH) };
+            let (rounds, precision) = if last { (8, EXACT) } else { (4, ROUGH) };
             state.solve_lights(precision);
+            if last {
+                state = self.narrow(&state);
+            }
             step = Some(self.improve(&mut state, rounds, precision, watch)?);
         }
         state.solve_lights(EXACT);
@@ -194,7 +203,7 @@ impl Solver<'_> {
     }
 
     /// Points at which one of the lit cells, or one beside them, could show.
-    fn fine_observations(&self, coarse: &State<'_>) -> Observations {
+    fn fine_observations(&self, coarse: &State<'_>, limit: usize) -> Observations {
         let (split, kept) = self.worth_splitting(coarse);
         let cells: Vec<Cell> = split.into_iter().chain(kept).collect();
         let directions = self.pyramid.geometry(&cells).directions;
@@ -209,7 +218,7 @@ impl Solver<'_> {
         };
         let sampling = Sampling {
             candidates: FINE_CANDIDATES,
-            limit: FINE_POINTS,
+            limit,
             keep: &keep,
             scale: Some(self.coarse.scale),
         };
@@ -267,6 +276,25 @@ impl Solver<'_> {
         design.visibility =
             cell_visibility(&design, self.pyramid, &cells, &state.brdf, self.occluder);
         State::new(design, cells, state.brdf)
+    }
+
+    /// Drops the cells that are more than [`MARGIN`] steps from a lit one.
+    fn narrow<'s>(&self, state: &State<'s>) -> State<'s> {
+        let mut near: BTreeSet<Cell> = state
+            .cells
+            .iter()
+            .zip(&state.radiance)
+            .filter(|(_, l)| l.iter().any(|&v| v > 0.0))
+            .map(|(&cell, _)| cell)
+            .collect();
+        for _ in 0..MARGIN {
+            let beside: Vec<Cell> = near
+                .iter()
+                .flat_map(|&c| self.pyramid.neighbours(c))
+                .collect();
+            near.extend(beside);
+        }
+        state.restricted(|cell| near.contains(cell))
     }
 
     fn report(&self, state: &State<'_>, watch: &mut Watch<'_>) -> Result<(), Stopped> {

@@ -77,6 +77,20 @@ impl<'a> State<'a> {
         }
     }
 
+    /// The same with some of the cells only; dark ones leave the fit as it is.
+    pub fn restricted(&self, keep: impl Fn(&Cell) -> bool) -> Self {
+        let kept: Vec<usize> = (0..self.cells.len())
+            .filter(|&k| keep(&self.cells[k]))
+            .collect();
+        Self {
+            design: self.design.restricted(&kept),
+            cells: kept.iter().map(|&k| self.cells[k]).collect(),
+            radiance: kept.iter().map(|&k| self.radiance[k]).collect(),
+            equations: NormalEquations::none(),
+            ..self.clone()
+        }
+    }
+
     /// Minimises over the lights at the present σ and weights.
     pub fn solve_lights(&mut self, precision: Precision) {
         let n = self.cells.len();
