@@ -13,12 +13,14 @@ use glam::Vec3;
 
 use super::cells::{Cell, Pyramid};
 use super::design::{Design, light_from};
+use super::lamps::fill_compact_lamps;
 use super::model::{Brdf, SpecularModel};
 use super::observations::{Observations, Row, Sampling};
 use super::observer::{Iteration, Observer, Stopped, go_on};
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
 use super::visibility::cell_visibility;
 use crate::capture::Capture;
+use crate::hemisphere::HemisphereGrid;
 use crate::surface::{Occluder, ViewSurface};
 
 /// Roughnesses compared on the coarsest cells, radians.
@@ -71,6 +73,8 @@ pub struct Solver<'a> {
     pub surfaces: &'a [ViewSurface],
     /// The object, for shadows.
     pub occluder: &'a Occluder,
+    /// Nodes of the result, the finest of the pyramid.
+    pub grid: &'a HemisphereGrid,
     /// The cells.
     pub pyramid: &'a Pyramid,
     /// Centre and radius of a finite hemisphere.
@@ -163,7 +167,7 @@ impl Solver<'_> {
         }
         Ok(Fit {
             brdf: state.brdf,
-            nodes,
+            nodes: fill_compact_lamps(self.grid, state.brdf.sigma, &nodes),
             sigma_error: step.map_or(f32::INFINITY, |s| s.error as f32),
         })
     }

@@ -8,6 +8,7 @@ mod cells;
 mod design;
 mod diagnose;
 mod fast;
+mod lamps;
 mod model;
 mod observations;
 mod observer;
@@ -113,6 +114,7 @@ pub fn estimate(
         capture: input.capture,
         surfaces: input.surfaces,
         occluder: input.occluder,
+        grid,
         pyramid: &pyramid,
         near: grid.radius.map(|r| (grid.centre, r)),
         coarse: Solver::coarse_observations(input.capture, input.surfaces),
