@@ -182,3 +182,119 @@ impl InitialHemisphere {
         Self { radiance, votes }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::Photograph;
+    use crate::surface::fixtures::{bumpy_sphere, camera};
+    use crate::surface::{Occluder, minimum_texture, wanted_density};
+    use glam::DVec3;
+
+    /// A smooth albedo lit from one direction, plus a narrow highlight where the mirror ray meets the light.
+    fn radiance(position: Vec3, normal: Vec3, eye: Vec3, light: Vec3) -> (Vec3, Vec3) {
+        let albedo = Vec3::new(0.6, 0.5, 0.4) + 0.2 * (3.0 * position).map(f32::sin);
+        let v = (eye - position).normalize_or_zero();
+        let mirrored = 2.0 * normal.dot(v) * normal - v;
+        let highlight = 5.0 * (-(mirrored.angle_between(light) / 0.1).powi(2)).exp();
+        (
+            albedo * (0.2 + normal.dot(light).max(0.0)),
+            Vec3::splat(highlight),
+        )
+    }
+
+    #[test]
+    fn the_split_finds_diffuse_colours_and_the_light() {
+        let mut mesh = bumpy_sphere(60, 0.05);
+        mesh.uvs.clear();
+        let occluder = Occluder::new(&mesh);
+        let light = Vec3::new(0.3, 0.8, 0.5).normalize_or_zero();
+        let mut views = Vec::new();
+        let mut surfaces = Vec::new();
+        for k in 0..6 {
+            let turn = f64::from(k) * std::f64::consts::TAU / 6.0;
+            let position = DVec3::new(4.0 * turn.sin(), 2.0, 4.0 * turn.cos());
+            let camera = camera(position, DVec3::ZERO, 200, 200, 1.6);
+            let surface = ViewSurface::new(&mesh, &occluder, &camera);
+            let seen: Vec<Option<[f32; 3]>> = (0..200 * 200)
+                .map(|p| {
+                    let point = surface.point(&mesh, &camera, p % 200, p / 200)?;
+                    let (d, s) = radiance(point.position, point.normal, position.as_vec3(), light);
+                    Some((d + s).to_array())
+                })
+                .collect();
+            views.push(View {
+                name: format!("view {k}"),
+                camera,
+                photograph: Photograph {
+                    width: 200,
+                    height: 200,
+                    radiance: seen.iter().map(|p| p.unwrap_or([0.0; 3])).collect(),
+                    coverage: Some(
+                        seen.iter()
+                            .map(|p| f32::from(u8::from(p.is_some())))
+                            .collect(),
+                    ),
+                    usable: vec![true; 200 * 200],
+                },
+            });
+            surfaces.push(surface);
+        }
+        let density = wanted_density(&mesh, &views, &surfaces, 1.5);
+        let atlas = Atlas::new(&mesh, &density);
+        let texture = minimum_texture(&mesh, &atlas, &views, &surfaces);
+        let (mut within, mut seen_often) = (0, 0);
+        for texel in atlas.texels.iter().filter(|t| !t.gutter) {
+            let index = texel.index as usize;
+            if texture.confidence[index] > 1.5 {
+                let point = mesh.point(texel.triangle, texel.barycentric);
+                let (d, _) = radiance(point.position, point.normal, Vec3::ZERO, light);
+                let error = (Vec3::from(texture.radiance[index]) - d).length() / d.length();
+                seen_often += 1;
+                within += usize::from(error < 0.03);
+            }
+        }
+        assert!(seen_often > 10_000, "{seen_often} texels");
+        assert!(within * 100 > seen_often * 97, "{within} of {seen_often}");
+
+        let grid = HemisphereGrid::new(30, Vec3::Y, None, Vec3::ZERO);
+        let partials: Vec<PartialHemisphere> = views
+            .iter()
+            .zip(&surfaces)
+            .map(|(view, surface)| {
+                SpecularImage::new(&mesh, &atlas, &texture, view, surface)
+                    .partial_hemisphere(&grid, view.camera.position().as_vec3())
+            })
+            .collect();
+        let initial = InitialHemisphere::new(&partials, 2);
+        let brightest = (0..initial.radiance.len())
+            .max_by(|&a, &b| initial.radiance[a][0].total_cmp(&initial.radiance[b][0]))
+            .unwrap();
+        let off = grid.directions[brightest].angle_between(light).to_degrees();
+        assert!(off < 6.0, "brightest node {off}° from the light");
+        assert!(
+            initial.radiance[brightest][0] > 1.0,
+            "{:?}",
+            initial.radiance[brightest]
+        );
+    }
+
+    #[test]
+    fn the_vote_keeps_what_enough_views_agree_on() {
+        let partial = |values: [Option<f32>; 3]| PartialHemisphere {
+            radiance: values.map(|v| [v.unwrap_or(0.0); 3]).to_vec(),
+            has_value: values.map(|v| v.is_some()).to_vec(),
+        };
+        let partials = [
+            partial([Some(3.0), Some(5.0), None]),
+            partial([Some(2.0), None, None]),
+            partial([Some(4.0), Some(6.0), Some(9.0)]),
+        ];
+        let all = InitialHemisphere::new(&partials, 0);
+        assert_eq!(all.votes, [3, 2, 1]);
+        assert_eq!(all.radiance, [[2.0; 3], [0.0; 3], [0.0; 3]]);
+        let but_one = InitialHemisphere::new(&partials, 1);
+        assert_eq!(but_one.radiance, [[2.0; 3], [5.0; 3], [0.0; 3]]);
+        assert!(InitialHemisphere::new(&[], 2).radiance.is_empty());
+    }
+}
