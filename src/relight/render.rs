@@ -185,10 +185,16 @@ impl Tile<'_> {
             .flatten()
             .map(|p| p.position.distance(self.eye))
             .fold(f32::INFINITY, f32::min);
-        let wanted = |index: usize, group: usize| {
-            relit || mains[index].is_some_and(|p| self.shader.is_in_lobe(group, &p, self.view(&p)))
-        };
         let groups = self.shader.groups();
+        let needed: Vec<bool> = mains
+            .iter()
+            .flat_map(|main| (0..groups).map(move |g| (main, g)))
+            .map(|(main, g)| {
+                main.as_ref()
+                    .is_some_and(|p| relit || self.shader.is_in_lobe(g, p, self.view(p)))
+            })
+            .collect();
+        let wanted = |index: usize, group: usize| needed[index * groups + group];
         let visibility =
             self.shader
                 .visibility(&mains, self.size[0], distance * self.footprint, &wanted);
