@@ -216,7 +216,7 @@ fn squared_arccos(c: f32) -> f32 {
     let p = p * c - 0.050_174_303;
     let p = p * c + 0.088_978_99;
     let p = p * c - 0.214_598_8;
-    let p = p * c + 1.570_796_3;
+    let p = p * c + std::f32::consts::FRAC_PI_2;
     (1.0 - c) * p * p
 }
 

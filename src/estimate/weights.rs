@@ -56,8 +56,8 @@ pub fn residuals(
     let rows = &design.observations.rows;
     for point in &design.observations.points {
         for k in point.rows.clone() {
-            for c in 0..3 {
-                values[k][c] = rows[k].radiance[c] - values[k][c];
+            for (value, measured) in values[k].iter_mut().zip(rows[k].radiance) {
+                *value = measured - *value;
             }
         }
         eliminate(

@@ -1,6 +1,6 @@
 //! A branch-free exponential that compilers turn into vector code.
 
-use std::f32::consts::LOG2_E;
+use std::f32::consts::{LN_2, LOG2_E};
 
 /// `exp(x)` for `x ≤ 0` with a relative error below 2e-7·(2 + |x|), mostly the rounding of `x` itself; 0 below
 /// about −87.
@@ -19,7 +19,7 @@ pub fn exp_negative(x: f32) -> f32 {
     let p = p * f + 9.618_129e-3;
     let p = p * f + 5.550_410_9e-2;
     let p = p * f + 2.402_265_1e-1;
-    let p = p * f + 6.931_471_8e-1;
+    let p = p * f + LN_2;
     let p = p * f + 1.0;
     let scale = f32::from_bits(shifted.to_bits().wrapping_add(127) << 23);
     if t <= -126.0 { 0.0 } else { p * scale }
