@@ -39,8 +39,6 @@ use format::{FORMAT, Head, Hemisphere, Light, Manifest, Nodes, Texture, VERSION}
 
 /// Rows of the lat-long picture: a node is some three pixels tall at frequency 70.
 const LATLONG_ROWS: u32 = 512;
-/// Angular radius up to which a lamp is taken for a disc, radians: 6°.
-const COMPACT: f32 = 0.105;
 /// Lit nodes outside all lamps that are kept apart.
 const MAX_STRAYS: usize = 24;
 
@@ -383,15 +381,6 @@ pub fn lighting(
     let lamps: Vec<LampNodes> = lamps
         .iter()
         .filter_map(|lamp| {
-            if lamp.angular_radius < COMPACT {
-                let extent = lamp.angular_radius.max(0.5 * grid.spacing());
-                return Some(LampNodes::disc(
-                    lamp.direction,
-                    lamp.flux,
-                    extent,
-                    grid.radius,
-                ));
-            }
             LampNodes::new(lamp.nodes.iter().map(|&i| node(i)).collect(), grid.radius)
         })
         .collect();
