@@ -37,7 +37,7 @@ const FINE_CANDIDATES: usize = 24_000;
 
 /// Most points that take part on cells between the coarsest and the finest, and on the finest.
 const MIDDLE_POINTS: usize = 1800;
-const FINE_POINTS: usize = 5000;
+const FINE_POINTS: usize = 7000;
 
 /// Cells past about this number stay coarse, the dimmest first.
 const MOST_CELLS: usize = 700;
@@ -155,6 +155,7 @@ impl Solver<'_> {
             let (rounds, precision) = if last { (8, EXACT) } else { (4, ROUGH) };
             state.solve_lights(precision);
             if last {
+                self.improve(&mut state, 2, precision, watch)?;
                 state = self.narrow(&state);
             }
             step = Some(self.improve(&mut state, rounds, precision, watch)?);
