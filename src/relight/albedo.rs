@@ -28,7 +28,7 @@ const MAX_ROUNDS: usize = 400;
 /// The albedo and what it was made from.
 #[derive(Clone, Debug)]
 pub struct Albedo {
-    /// Pseudo-albedo of each texel, RGB; with `K_S`-scaled light its scale is that of K_D / K_S.
+    /// Pseudo-albedo of each texel, RGB; with `K_S`-scaled light its scale is that of `K_D / K_S`.
     pub albedo: Vec<[f32; 3]>,
     /// Irradiance of each texel under the light of the capture.
     pub irradiance: Vec<[f32; 3]>,
@@ -351,7 +351,7 @@ fn neighbours(mesh: &crate::capture::Mesh, welded: &[u32], places: usize) -> (Ve
 /// Spreads values from the fixed places: first outwards, ring by ring, then smoothed towards the mean of neighbours.
 fn diffuse_over_edges(
     (starts, list): &(Vec<u32>, Vec<u32>),
-    value: &mut Vec<Option<Vec3>>,
+    value: &mut [Option<Vec3>],
     fixed: &[bool],
 ) {
     let around = |p: usize| &list[starts[p] as usize..starts[p + 1] as usize];

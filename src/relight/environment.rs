@@ -58,8 +58,8 @@ impl LatLong {
     /// Reads an EXR or Radiance HDR picture. The error is a whole sentence that names the file.
     pub fn load(path: &Path) -> Result<Self, String> {
         let (width, height, rgb) = read_radiance(path).map_err(|e| e.to_string())?;
-        let radiance = rgb.iter().map(|&p| Vec3::from(p).max(Vec3::ZERO)).collect();
-        let picture = Self::new(width as usize, height as usize, radiance);
+        let radiance: Vec<Vec3> = rgb.iter().map(|&p| Vec3::from(p).max(Vec3::ZERO)).collect();
+        let picture = Self::new(width as usize, height as usize, &radiance);
         if picture.radiance.iter().any(|r| *r != Vec3::ZERO) {
             Ok(picture)
         } else {
@@ -70,7 +70,7 @@ impl LatLong {
         }
     }
 
-    fn new(width: usize, height: usize, radiance: Vec<Vec3>) -> Self {
+    fn new(width: usize, height: usize, radiance: &[Vec3]) -> Self {
         let factor = width.div_ceil(MAX_COLUMNS).max(1);
         let (small_width, small_height) = (width.div_ceil(factor), height.div_ceil(factor));
         let mut small = Vec::with_capacity(small_width * small_height);
@@ -246,7 +246,7 @@ mod tests {
 
     fn picture(f: impl Fn(Vec3) -> Vec3) -> LatLong {
         let (width, height) = (128, 64);
-        let radiance = (0..width * height)
+        let radiance: Vec<Vec3> = (0..width * height)
             .map(|i| {
                 let (row, column) = (i / width, i % width);
                 f(direction_from_lat_long(Vec2::new(
@@ -255,7 +255,7 @@ mod tests {
                 )))
             })
             .collect();
-        LatLong::new(width, height, radiance)
+        LatLong::new(width, height, &radiance)
     }
 
     #[test]

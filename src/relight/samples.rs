@@ -30,15 +30,15 @@ pub struct Samples {
     pub width: usize,
     /// Rows of the picture.
     pub rows: Range<usize>,
-    /// Samples of the band's pixel `i` are `samples[starts[i]..starts[i + 1]]`, by slot.
+    /// Samples of the band's pixel `i` are `points[starts[i]..starts[i + 1]]`, by slot.
     starts: Vec<u32>,
-    samples: Vec<Sample>,
+    points: Vec<Sample>,
 }
 
 impl Samples {
     /// The samples of a pixel, `index` counted from the band's first pixel.
     pub fn of(&self, index: usize) -> &[Sample] {
-        &self.samples[self.starts[index] as usize..self.starts[index + 1] as usize]
+        &self.points[self.starts[index] as usize..self.starts[index + 1] as usize]
     }
 
     /// Samples that a pixel would have if the surface covered it.
@@ -100,7 +100,7 @@ impl Samples {
             width,
             rows,
             starts,
-            samples,
+            points: samples,
         }
     }
 }

@@ -1,7 +1,7 @@
 //! How a surface point looks under a lighting: specular radiance (eq. 7) and irradiance (the sums of eq. 18–19).
 //!
-//! * specular = Σ M L ω a · lobe(n, l, v), the lobe of [`Brdf`] with its 1/cos θ_r inside;
-//! * irradiance = Σ M L ω a · max(0, cos θ_i) T(cos θ_i), T the diffuse transmittance of [`Brdf`];
+//! * specular = Σ M L ω a · lobe(n, l, v), the lobe of [`Brdf`] with its 1/cos θᵣ inside;
+//! * irradiance = Σ M L ω a · max(0, cos θᵢ) T(cos θᵢ), T the diffuse transmittance of [`Brdf`];
 //!
 //! over the nodes of all lamps. a = (R/|p − x|)² is the fall-off of a node at the finite distance R (1 for distant
 //! light), M ∈ {0, 1} whether a ray from the surface reaches the node. Light from behind the shading normal or
@@ -369,10 +369,11 @@ impl<'a> Shader<'a> {
         let count = self.groups.len();
         let mut all = vec![Visibility::Below; points.len() * count];
         let is_coarse = |x: usize, y: usize| {
-            (x % STRIDE == 0 || x + 1 == width) && (y % STRIDE == 0 || y + 1 == height)
+            (x.is_multiple_of(STRIDE) || x + 1 == width)
+                && (y.is_multiple_of(STRIDE) || y + 1 == height)
         };
         let mut needed = vec![false; count];
-        for y in (0..height).filter(|y| y % STRIDE == 0 || y + 1 == height) {
+        for y in (0..height).filter(|y| y.is_multiple_of(STRIDE) || y + 1 == height) {
             for x in (0..width).filter(|&x| is_coarse(x, y)) {
                 let Some(point) = &points[y * width + x] else {
                     continue;
@@ -448,7 +449,7 @@ impl<'a> Shader<'a> {
                 let (axis, falloff, _) = group.towards(group.axis, point.position);
                 let reach = group.reach_from(falloff);
                 if in_lobe(axis, reach, point.normal, view, self.support) {
-                    self.each_seen(group, point, seen, |l, flux| {
+                    Self::each_seen(group, point, seen, |l, flux| {
                         specular += flux * brdf.lobe(&terms, l);
                     });
                 }
@@ -486,7 +487,7 @@ impl<'a> Shader<'a> {
                     )
                     .max(Vec3::ZERO);
             } else {
-                self.each_seen(group, point, seen, |l, flux| {
+                Self::each_seen(group, point, seen, |l, flux| {
                     let cos = l.dot(point.normal);
                     irradiance += flux * (cos * transmittance(cos));
                 });
@@ -498,7 +499,6 @@ impl<'a> Shader<'a> {
     /// Calls `add(l, flux × fall-off)` for every node of a group that lights the point.
     #[inline]
     fn each_seen(
-        &self,
         group: &Group,
         point: &ShadingPoint,
         seen: &Visibility,

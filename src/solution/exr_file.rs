@@ -1,4 +1,4 @@
-//! Pictures and textures as OpenEXR files, 32-bit float, lossless.
+//! Pictures and textures as EXR files, 32-bit float, lossless.
 
 use std::io;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! The mesh of a solution: `mesh.ply` (binary, exact, with texture coordinates per corner, as MeshLab writes them) for
+//! The mesh of a solution: `mesh.ply` (binary, exact, with texture coordinates per corner, as `MeshLab` writes them) for
 //! programs, `mesh.obj` for people and modellers.
 
 use std::fmt::Write as _;

@@ -544,3 +544,107 @@ fn check_manifest(manifest: &Manifest) -> Result<HemisphereGrid, String> {
     }
     Ok(grid)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::SpecularModel;
+
+    fn example() -> Solution {
+        let grid = HemisphereGrid::new(4, Vec3::Y, Some(3.0), Vec3::new(0.1, 0.2, 0.3));
+        let mut radiance = vec![[0.0; 3]; grid.directions.len()];
+        radiance[5] = [0.1, 20.0, 1e-7];
+        radiance[6] = [0.3, 2.0, 1.0];
+        let mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Z],
+            normals: vec![Vec3::Y; 3],
+            uvs: Vec::new(),
+            triangles: vec![[0, 2, 1]],
+        };
+        let corners = [
+            Vec2::new(0.5, 0.5),
+            Vec2::new(3.5, 0.5),
+            Vec2::new(0.5, 3.5),
+        ];
+        Solution {
+            name: "example".to_owned(),
+            method: Method::default(),
+            brdf: Some(Brdf {
+                model: SpecularModel::Microfacet,
+                sigma: 0.075_123,
+            }),
+            chosen_because: "it was asked for".to_owned(),
+            sigma_interval95: Some([0.07, 0.08]),
+            lamps: vec![SolutionLamp {
+                name: "Light 1".to_owned(),
+                direction: grid.directions[5],
+                flux: Vec3::new(1.0, 2.0, 3.0),
+                angular_radius: 0.05,
+                nodes: vec![5],
+            }],
+            grid,
+            radiance,
+            ambient: Vec3::splat(0.01),
+            diagnostics: Diagnostics::default(),
+            fit: Fit::default(),
+            timings: Vec::new(),
+            convergence: Vec::new(),
+            mesh,
+            atlas: Atlas::from_corners(4, 4, vec![corners], false),
+            diffuse: (0..16).map(|i| [i as f32 * 0.1; 3]).collect(),
+            albedo: (0..16).map(|i| [i as f32 * 0.2; 3]).collect(),
+            confidence: (0..16).map(|i| i as f32 / 16.0).collect(),
+            pictures: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_solution_comes_back_as_it_was() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("solution");
+        let saved = example();
+        saved.save(&path).unwrap();
+        // Saving again replaces it.
+        saved.save(&path).unwrap();
+        let read = Solution::load(&path).unwrap();
+        assert_eq!(read.radiance, saved.radiance);
+        assert_eq!(read.brdf, saved.brdf);
+        assert_eq!(read.diffuse, saved.diffuse);
+        assert_eq!(read.albedo, saved.albedo);
+        assert_eq!(read.confidence, saved.confidence);
+        assert_eq!(read.mesh.positions, saved.mesh.positions);
+        assert_eq!(read.lighting(), saved.lighting());
+        for (a, b) in read.atlas.corner_uvs[0]
+            .iter()
+            .zip(&saved.atlas.corner_uvs[0])
+        {
+            assert!(a.distance(*b) < 1e-5, "{a} was {b}");
+        }
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn unreadable_solutions_say_why() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("solution");
+        let message = |path: &Path| Solution::load(path).err().unwrap().to_string();
+        assert!(message(&path).contains("no solution here"));
+        example().save(&path).unwrap();
+        let manifest = path.join("solution.json");
+        let text = fs::read_to_string(&manifest).unwrap();
+        fs::write(&manifest, text.replace("\"version\": 1", "\"version\": 2")).unwrap();
+        assert!(message(&path).contains("newer"));
+        fs::write(&manifest, &text).unwrap();
+        fs::remove_file(path.join("albedo.exr")).unwrap();
+        assert!(message(&path).contains("albedo.exr"));
+    }
+
+    #[test]
+    fn a_folder_of_something_else_is_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("thesis.tex"), "x").unwrap();
+        let error = example().save(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("not a solution"), "{error}");
+        assert!(folder.path().join("thesis.tex").exists());
+    }
+}
