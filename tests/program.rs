@@ -1,0 +1,175 @@
+//! What the program promises on the command line, checked on a capture with known truth.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn rekindle(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rekindle"))
+        .args(arguments)
+        .output()
+        .expect("the program starts")
+}
+
+fn capture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/captures")
+        .join(name)
+}
+
+fn read_json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+fn vector(value: &Value) -> [f64; 3] {
+    [0, 1, 2].map(|k| value[k].as_f64().unwrap())
+}
+
+fn angle_deg(a: [f64; 3], b: [f64; 3]) -> f64 {
+    let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+    (dot(a, b) / (dot(a, a) * dot(b, b)).sqrt())
+        .clamp(-1.0, 1.0)
+        .acos()
+        .to_degrees()
+}
+
+/// Solves a capture, checks roughness and lamps against its truth, and returns the folder of the solution.
+fn solve_and_check(name: &str, folder: &Path) -> PathBuf {
+    let source = capture(name);
+    let solution = folder.join("solution");
+    let run = rekindle(&[
+        "solve",
+        source.to_str().unwrap(),
+        "-o",
+        solution.to_str().unwrap(),
+        "--quiet",
+    ]);
+    assert!(
+        run.status.success(),
+        "{}",
+        String::from_utf8_lossy(&run.stderr)
+    );
+    let found = read_json(&solution.join("solution.json"));
+    let truth = read_json(&source.join("truth/truth.json"));
+    let material = &truth["material"];
+    let sigma = material["sigma"]
+        .as_f64()
+        .unwrap_or_else(|| material["microfacet_alpha"].as_f64().unwrap() / 2.0_f64.sqrt());
+    let error = found["sigma"].as_f64().unwrap() / sigma - 1.0;
+    assert!(error.abs() < 0.01, "{name}: sigma is off by {error}");
+
+    let lamps = truth["lights"].as_array().unwrap();
+    let lights = found["lights"].as_array().unwrap();
+    assert_eq!(lights.len(), lamps.len(), "{name}: number of lamps");
+    let mut ratios = Vec::new();
+    for lamp in lamps {
+        let direction = vector(&lamp["direction"]);
+        let nearest = lights
+            .iter()
+            .min_by(|a, b| {
+                let to = |l: &Value| angle_deg(vector(&l["direction"]), direction);
+                to(a).total_cmp(&to(b))
+            })
+            .unwrap();
+        let off = angle_deg(vector(&nearest["direction"]), direction);
+        assert!(off < 0.2, "{name}: a lamp is off by {off}°");
+        let flux: f64 = vector(&lamp["radiance"]).iter().sum::<f64>()
+            * lamp["solid_angle"].as_f64().unwrap();
+        ratios.push(vector(&nearest["flux"]).iter().sum::<f64>() / flux);
+    }
+    let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+    for ratio in ratios {
+        let error = ratio / mean - 1.0;
+        assert!(error.abs() < 0.015, "{name}: a flux is off by {error}");
+    }
+    solution
+}
+
+#[test]
+fn recovers_the_papers_surface_and_renders_edits() {
+    let folder = tempfile::tempdir().unwrap();
+    let solution = solve_and_check("spot_paper", folder.path());
+    // A solution opens elsewhere, without the capture.
+    let moved = folder.path().join("elsewhere");
+    std::fs::rename(&solution, &moved).unwrap();
+    let cameras = capture("spot_paper").join("truth/novel/transforms.json");
+    let edits = folder.path().join("edits.json");
+    std::fs::write(&edits, r#"[{"mute": {"near": [0, 1, 0]}}]"#).unwrap();
+    let pictures = folder.path().join("pictures");
+    let run = rekindle(&[
+        "render",
+        moved.to_str().unwrap(),
+        "--cameras",
+        cameras.to_str().unwrap(),
+        "--edits",
+        edits.to_str().unwrap(),
+        "-o",
+        pictures.to_str().unwrap(),
+        "--layers",
+        "--quiet",
+    ]);
+    assert!(
+        run.status.success(),
+        "{}",
+        String::from_utf8_lossy(&run.stderr)
+    );
+    for ending in ["exr", "png", "diffuse.exr", "specular.exr"] {
+        let path = pictures.join(format!("view_000.{ending}"));
+        assert!(path.exists(), "{} is missing", path.display());
+    }
+
+    std::fs::write(&edits, r#"[{"dim": {}}]"#).unwrap();
+    let refused = folder.path().join("refused");
+    let run = rekindle(&[
+        "render",
+        moved.to_str().unwrap(),
+        "--cameras",
+        cameras.to_str().unwrap(),
+        "--edits",
+        edits.to_str().unwrap(),
+        "-o",
+        refused.to_str().unwrap(),
+    ]);
+    let message = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(2), "{message}");
+    for known in ["mute", "solo", "gain", "move", "add", "delete"] {
+        assert!(message.contains(known), "{message} does not name {known}");
+    }
+    assert!(!refused.exists(), "nothing may be written");
+}
+
+#[test]
+fn recovers_a_plastic_with_interreflections_and_noise() {
+    let folder = tempfile::tempdir().unwrap();
+    let solution = solve_and_check("spot_plastic", folder.path());
+    let found = read_json(&solution.join("solution.json"));
+    assert!(
+        found.to_string().contains("microfacet"),
+        "the solution states the model that the data chose"
+    );
+}
+
+#[test]
+fn recovers_lamps_at_finite_distance() {
+    let folder = tempfile::tempdir().unwrap();
+    solve_and_check("spot_near", folder.path());
+}
+
+#[test]
+fn a_missing_capture_is_one_message_and_status_2() {
+    let folder = tempfile::tempdir().unwrap();
+    let solution = folder.path().join("solution");
+    let run = rekindle(&[
+        "solve",
+        "no/such/folder",
+        "-o",
+        solution.to_str().unwrap(),
+        "--quiet",
+    ]);
+    assert_eq!(run.status.code(), Some(2));
+    let message = String::from_utf8_lossy(&run.stderr);
+    assert!(message.contains("no/such/folder"), "{message}");
+    assert_eq!(message.trim().lines().count(), 1, "{message}");
+    assert!(!solution.exists(), "nothing may be written");
+}
