@@ -1,5 +1,7 @@
 //! What the program promises on the command line, checked on a capture with known truth.
 
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -74,8 +76,8 @@ fn solve_and_check(name: &str, folder: &Path) -> PathBuf {
             .unwrap();
         let off = angle_deg(vector(&nearest["direction"]), direction);
         assert!(off < 0.2, "{name}: a lamp is off by {off}°");
-        let flux: f64 = vector(&lamp["radiance"]).iter().sum::<f64>()
-            * lamp["solid_angle"].as_f64().unwrap();
+        let flux: f64 =
+            vector(&lamp["radiance"]).iter().sum::<f64>() * lamp["solid_angle"].as_f64().unwrap();
         ratios.push(vector(&nearest["flux"]).iter().sum::<f64>() / flux);
     }
     let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
