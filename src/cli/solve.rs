@@ -46,6 +46,10 @@ pub(super) struct EstimationArgs {
 enum MethodArg {
     /// Variable projection with the diffuse colours eliminated
     Fast,
+    /// The paper's alternation, lights first: for comparison, slower and less exact
+    Amuh,
+    /// The paper's alternation, roughness first: for comparison, slower and less exact
+    Amhu,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -75,6 +79,8 @@ impl EstimationArgs {
             estimate: EstimateParams {
                 method: match self.method {
                     MethodArg::Fast => Method::Fast,
+                    MethodArg::Amuh => Method::Amuh,
+                    MethodArg::Amhu => Method::Amhu,
                 },
                 specular: match self.specular {
                     SpecularArg::Paper => SpecularChoice::Model(SpecularModel::Paper),

@@ -35,6 +35,8 @@ pub struct Design<'a> {
     pub near: Option<(Vec3, f32)>,
     /// Share of each cell that each point sees, point by point; empty if all is taken as seen.
     pub visibility: Vec<f32>,
+    /// Whether the rows' diffuse part has been subtracted already, so that nothing is left to eliminate.
+    pub diffuse_known: bool,
 }
 
 /// Normal equations of the eliminated system, for the three channels.
@@ -195,7 +197,8 @@ impl Design<'_> {
         }
         let mut mean = vec![0.0_f32; n];
         let mut mean_radiance = Vec3::ZERO;
-        for k in 0..rows.len() {
+        let averaged = if self.diffuse_known { 0 } else { rows.len() };
+        for k in 0..averaged {
             let share = w[k] * transmittance[k] / total;
             for (m, a) in mean.iter_mut().zip(&block[k * n..(k + 1) * n]) {
                 *m += share * a;

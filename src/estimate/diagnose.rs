@@ -12,10 +12,14 @@ const FEWEST_POINTS: usize = 60;
 const LEAST_SIGNIFICANCE: f64 = 8.0;
 
 /// Share of the squared differences between views that lights must explain.
-const LEAST_EXPLAINED: f64 = 0.15;
+pub const LEAST_EXPLAINED: f64 = 0.15;
 
 /// Relative standard error of σ past which it counts as undetermined.
 const LARGEST_RELATIVE_ERROR: f32 = 0.3;
+
+/// What is said where no specular part is found.
+pub const NO_SPECULAR: &str = "No specular part was found: the views differ by no more than noise, as those of a purely diffuse object \
+    do. Everything is taken as diffuse; without highlights the lighting can't be recovered.";
 
 /// Why diffuse and specular parts can't be told apart in this capture, if they can't.
 pub fn unseparable(capture: &Capture, observations: &Observations) -> Option<String> {
@@ -47,11 +51,8 @@ pub fn no_specular(state: &State<'_>) -> Option<String> {
     let (dark, left) = (state.dark_objective(), state.objective());
     let explained = 1.0 - left / dark.max(f64::MIN_POSITIVE);
     let significance = (dark - left) / lit.max(1.0) / (left / rows).max(f64::MIN_POSITIVE);
-    (lit == 0.0 || explained < LEAST_EXPLAINED || significance < LEAST_SIGNIFICANCE).then(|| {
-        "No specular part was found: the views differ by no more than noise, as those of a purely diffuse object \
-         do. Everything is taken as diffuse; without highlights the lighting can't be recovered."
-            .to_owned()
-    })
+    (lit == 0.0 || explained < LEAST_EXPLAINED || significance < LEAST_SIGNIFICANCE)
+        .then(|| NO_SPECULAR.to_owned())
 }
 
 /// Why roughness and lighting are not determined by a fit, if they aren't.

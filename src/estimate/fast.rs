@@ -204,6 +204,7 @@ impl Solver<'_> {
             geometry: self.pyramid.geometry(cells),
             near: self.near,
             visibility: Vec::new(),
+            diffuse_known: false,
         }
     }
 
@@ -212,7 +213,13 @@ impl Solver<'_> {
         let (split, kept) = self.worth_splitting(coarse);
         let cells: Vec<Cell> = split.into_iter().chain(kept).collect();
         let directions = self.pyramid.geometry(&cells).directions;
-        let reach = coarse.brdf.half_angle_support(LEAST_LOBE) + 0.25 * self.pyramid.spacing(0);
+        self.points_showing(&directions, &coarse.brdf, limit)
+    }
+
+    /// At most `limit` points at which light from one of the directions, or from a coarsest cell around it, could
+    /// show.
+    pub fn points_showing(&self, directions: &[Vec3], brdf: &Brdf, limit: usize) -> Observations {
+        let reach = brdf.half_angle_support(LEAST_LOBE) + 0.25 * self.pyramid.spacing(0);
         let least = reach.min(std::f32::consts::FRAC_PI_2).cos();
         let keep = |position: Vec3, normal: Vec3, rows: &[Row]| {
             directions.iter().any(|&d| {

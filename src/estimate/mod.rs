@@ -4,6 +4,7 @@
 //! geodesic hemisphere and the roughness σ of a specular lobe (eq. 17); they differ in how. Results are K_S-scaled:
 //! K_S = 1, because it can't be told from the lights' strength.
 
+mod alternating;
 mod cells;
 mod design;
 mod diagnose;
@@ -13,6 +14,7 @@ mod model;
 mod observations;
 mod observer;
 mod state;
+mod total_variation;
 mod visibility;
 mod weights;
 
@@ -24,6 +26,7 @@ use crate::capture::Capture;
 use crate::hemisphere::HemisphereGrid;
 use crate::surface::{Occluder, ViewSurface};
 
+use alternating::Order;
 use cells::Pyramid;
 use fast::{Fit, Solver, Watch};
 pub use model::{Brdf, LobeValue, SpecularModel, ViewTerms};
@@ -36,6 +39,10 @@ pub enum Method {
     /// Variable projection with the diffuse colours eliminated.
     #[default]
     Fast,
+    /// The paper's alternating minimisation, lights first.
+    Amuh,
+    /// The paper's alternating minimisation, roughness first.
+    Amhu,
 }
 
 /// Which specular model to use.
@@ -133,6 +140,15 @@ pub fn estimate(
         result.diagnostics.warnings.push(reason);
         return Ok(result);
     }
+    let order = match params.method {
+        Method::Fast => None,
+        Method::Amuh => Some(Order::LightsFirst),
+        Method::Amhu => Some(Order::LobeFirst),
+    };
+    if let Some(order) = order {
+        alternate(&mut result, &solver, grid, order, params.specular, observer)?;
+        return Ok(result);
+    }
     let mut watch = Watch {
         iterations: &mut result.convergence,
         observer,
@@ -146,6 +162,38 @@ pub fn estimate(
     result.chosen_because = because;
     accept(&mut result, fit);
     Ok(result)
+}
+
+/// Runs one of the paper's reference methods; the paper's lobe is theirs unless another is asked for.
+fn alternate(
+    result: &mut Estimate,
+    solver: &Solver<'_>,
+    grid: &HemisphereGrid,
+    order: Order,
+    choice: SpecularChoice,
+    observer: &mut dyn Observer,
+) -> Result<(), Stopped> {
+    let (model, because) = match choice {
+        SpecularChoice::Model(model) => (model, "it was asked for"),
+        SpecularChoice::Auto => (SpecularModel::Paper, "it is the one of the paper's method"),
+    };
+    let mut watch = Watch {
+        iterations: &mut result.convergence,
+        observer,
+    };
+    let Some(solution) = alternating::solve(solver, grid, order, model, &mut watch)? else {
+        result
+            .diagnostics
+            .warnings
+            .push(diagnose::NO_SPECULAR.to_owned());
+        return Ok(());
+    };
+    because.clone_into(&mut result.chosen_because);
+    result.diagnostics.well_posed = true;
+    result.diagnostics.specular_found = true;
+    result.brdf = Some(solution.brdf);
+    result.radiance = solution.nodes;
+    Ok(())
 }
 
 /// Takes over a fit if the data determine it.

@@ -17,6 +17,8 @@ pub const MIN_COS_ROW: f32 = 0.2;
 /// The radiance of one surface point in one view.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
+    /// The view.
+    pub view: usize,
     /// Unit direction from the point to the camera, world space.
     pub to_camera: Vec3,
     /// Cosine between normal and `to_camera`.
@@ -238,6 +240,7 @@ fn row(
     let pixel = surfaces[view].sees(camera, position)?;
     let (radiance, detail) = interpolate(&capture.views[view].photograph, &surfaces[view], pixel)?;
     Some(Row {
+        view,
         to_camera,
         cos_view,
         radiance,

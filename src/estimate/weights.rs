@@ -31,7 +31,7 @@ fn deviation(noise: f32, detail: f32) -> f32 {
 }
 
 /// Root mean square over the channels.
-fn magnitude(r: [f32; 3]) -> f32 {
+pub fn magnitude(r: [f32; 3]) -> f32 {
     (r.iter().map(|c| c * c).sum::<f32>() / 3.0).sqrt()
 }
 
