@@ -1,145 +1,369 @@
-//! Wavefront OBJ: `v`, `vt`, `vn` and `f`; groups, objects and materials make one mesh.
+//! Wavefront OBJ, read by `tobj`; groups, objects and materials make one mesh.
+//!
+//! Exporters write more than `tobj` understands, so it gets the statements that matter in plain form from [`Plain`].
+//! Its errors name no line: the file is then gone through again for the first line that is wrong ([`first_mistake`]).
 
 use super::error::CaptureError;
 use super::mesh_file::RawMesh;
 use super::polygon::triangulate;
 use glam::{Vec2, Vec3};
+use std::io::{self, BufRead, Read};
 use std::path::Path;
-
-const NONE: u32 = u32::MAX;
 
 /// What the three indices of a corner refer to, for messages.
 const WHAT: [&str; 3] = ["vertex", "texture coordinate", "normal"];
-
-/// A corner's indices of position, texture coordinate and normal; `NONE` where absent.
-type Corner = [u32; 3];
-
-#[derive(Default)]
-struct Parser {
-    positions: Vec<Vec3>,
-    uvs: Vec<Vec2>,
-    normals: Vec<Vec3>,
-    /// First vertex made of each position, and for each vertex the next one made of the same position.
-    first: Vec<u32>,
-    next: Vec<u32>,
-    corners: Vec<Corner>,
-    triangles: Vec<[u32; 3]>,
-    out: Vec<Vec3>,
-    polygon: Vec<u32>,
-    /// Positions, texture coordinates and normals before the current line, which negative indices count from.
-    before: [usize; 3],
-}
+/// More digits than any index has: they could overflow `tobj`'s arithmetic.
+const MOST_DIGITS: usize = 12;
+/// Polygons are cut here, because `tobj`'s fans leave those that are concave.
+const OPTIONS: tobj::LoadOptions = tobj::LoadOptions {
+    single_index: true,
+    triangulate: false,
+    ignore_points: true,
+    ignore_lines: true,
+};
 
 /// Parses the bytes of the OBJ file `path`.
 pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<RawMesh, CaptureError> {
-    let mut parser = Parser::default();
-    let joined;
-    let bytes = if bytes.contains(&b'\\') {
-        joined = join_continued(bytes);
-        &joined
-    } else {
-        bytes
+    let mut plain = Plain::new(bytes);
+    // Materials are never asked for: the statements that name them are left out.
+    let no_materials = |_: &Path| Err(tobj::LoadError::OpenFileFailed);
+    let loaded = tobj::load_obj_buf(&mut plain, &OPTIONS, no_materials);
+    let broken = |place: String, problem: String| CaptureError::MeshBroken {
+        path: path.to_owned(),
+        place,
+        problem,
     };
-    // Faces may stand before the vertices that they refer to: vertices are read first.
-    for pass in [Parser::vertex_line, Parser::face_line] {
-        for (i, line) in bytes.split(|&b| b == b'\n').enumerate() {
-            pass(&mut parser, line).map_err(|problem| CaptureError::MeshBroken {
-                path: path.to_owned(),
-                place: format!("line {}", i + 1),
-                problem,
-            })?;
+    let finite = |mesh: &tobj::Mesh| mesh.positions.iter().all(|v| v.is_finite());
+    let (mesh, problem) = match loaded {
+        Ok((models, _)) => {
+            let mesh = models.into_iter().next().map(|model| model.mesh);
+            (mesh.unwrap_or_default(), None)
+        }
+        Err(error) => (tobj::Mesh::default(), Some(error.to_string())),
+    };
+    if problem.is_some() || plain.filled || !finite(&mesh) {
+        if let Some((line, problem)) = first_mistake(bytes, plain.totals) {
+            return Err(broken(format!("line {line}"), problem));
+        }
+        if let Some(problem) = problem {
+            return Err(broken("the file".to_owned(), problem));
         }
     }
-    if parser.triangles.is_empty() {
+    let raw = to_raw(&mesh);
+    if raw.triangles.is_empty() {
         return Err(CaptureError::MeshEmpty {
             path: path.to_owned(),
-            problem: format!("{} vertices but no faces", parser.positions.len()),
+            problem: format!("{} vertices but no faces", plain.totals[0]),
         });
     }
-    Ok(parser.finish())
+    Ok(raw)
 }
 
-/// Joins lines that end in a backslash, keeping the number of lines.
-fn join_continued(bytes: &[u8]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(bytes.len());
-    let mut owed = 0;
-    for line in bytes.split_inclusive(|&b| b == b'\n') {
-        let text = line.trim_ascii_end();
-        if let Some(text) = text.strip_suffix(b"\\") {
-            out.extend_from_slice(text);
-            out.push(b' ');
-            owed += 1;
-        } else {
-            out.extend_from_slice(line);
-            out.extend(std::iter::repeat_n(b'\n', owed));
-            owed = 0;
+/// The mesh with its polygons cut into triangles.
+fn to_raw(mesh: &tobj::Mesh) -> RawMesh {
+    let threes = |values: &[f32]| -> Vec<Vec3> {
+        let triples = values.chunks_exact(3);
+        triples.map(|v| Vec3::new(v[0], v[1], v[2])).collect()
+    };
+    let positions = threes(&mesh.positions);
+    let mut normals = threes(&mesh.normals);
+    normals.resize(positions.len(), Vec3::ZERO);
+    let uvs = mesh.texcoords.chunks_exact(2);
+    let uvs: Vec<Vec2> = uvs.map(|uv| Vec2::new(uv[0], uv[1])).collect();
+    let absent = uvs.iter().all(|uv| uv.is_nan());
+    let mut triangles = Vec::with_capacity(mesh.indices.len() / 3);
+    if mesh.face_arities.is_empty() {
+        let faces = mesh.indices.chunks_exact(3);
+        triangles.extend(faces.map(|face| [face[0], face[1], face[2]]));
+    }
+    let mut rest = mesh.indices.as_slice();
+    for &count in &mesh.face_arities {
+        let (polygon, others) = rest.split_at(rest.len().min(count as usize));
+        triangulate(polygon, &positions, &mut triangles);
+        rest = others;
+    }
+    RawMesh {
+        positions,
+        normals,
+        uvs: if absent { Vec::new() } else { uvs },
+        triangles,
+    }
+}
+
+/// The statements of an OBJ file: lines that end in a backslash joined, comments left out.
+struct Statements<'a> {
+    rest: &'a [u8],
+    /// Line on which the last statement starts, from 1.
+    line: usize,
+    /// Lines up to the end of the last statement.
+    lines: usize,
+    joined: Vec<u8>,
+}
+
+impl<'a> Statements<'a> {
+    fn new(bytes: &'a [u8]) -> Self {
+        Self {
+            rest: bytes,
+            line: 0,
+            lines: 0,
+            joined: Vec::new(),
         }
     }
-    out
+
+    /// One line without its comment.
+    fn line(&mut self) -> Option<&'a [u8]> {
+        if self.rest.is_empty() {
+            return None;
+        }
+        self.lines += 1;
+        let end = self.rest.iter().position(|&b| b == b'\n');
+        let (line, rest) = self.rest.split_at(end.unwrap_or(self.rest.len()));
+        self.rest = rest.get(1..).unwrap_or_default();
+        let end = line.iter().position(|&b| b == b'#').unwrap_or(line.len());
+        Some(line[..end].trim_ascii_end())
+    }
+
+    fn next(&mut self) -> Option<&[u8]> {
+        self.line = self.lines + 1;
+        let line = self.line()?;
+        let Some(start) = line.strip_suffix(b"\\") else {
+            return Some(line);
+        };
+        self.joined.clear();
+        self.joined.extend_from_slice(start);
+        while let Some(line) = self.line() {
+            self.joined.push(b' ');
+            let part = line.strip_suffix(b"\\");
+            self.joined.extend_from_slice(part.unwrap_or(line));
+            if part.is_none() {
+                break;
+            }
+        }
+        Some(&self.joined)
+    }
 }
 
-impl Parser {
-    fn vertex_line(&mut self, line: &[u8]) -> Result<(), String> {
-        let mut words = words(line);
-        match words.next() {
-            Some(b"v") => {
-                let [x, y, z] = numbers(&mut words)?;
-                let position = Vec3::new(x, y, z);
-                if !position.is_finite() {
-                    return Err("the vertex is NaN or not finite".to_owned());
+/// The plain form of an OBJ file, statement by statement:
+/// * `v`, `vt`, `vn` and `f` only: names may be in any encoding, and groups would divide the mesh;
+/// * vertices have three numbers, without weight or colour, and texture coordinates two;
+/// * faces have three corners or more, and all their corners an index of everything that the file has: where one is
+///   missing it is that of an entry at the file's end, NaN for texture coordinates and zero for normals.
+struct Plain<'a> {
+    statements: Statements<'a>,
+    /// How many vertices, texture coordinates and normals the file has.
+    totals: [usize; 3],
+    /// Whether any index was missing and the file has such entries.
+    filled: bool,
+    ended: bool,
+    /// The current statement and how much of it was read.
+    text: Vec<u8>,
+    read: usize,
+}
+
+impl<'a> Plain<'a> {
+    fn new(bytes: &'a [u8]) -> Self {
+        let mut totals = [0; 3];
+        let mut statements = Statements::new(bytes);
+        while let Some(statement) = statements.next() {
+            if let Some(kind) = words(statement).next().and_then(entry) {
+                totals[kind] += 1;
+            }
+        }
+        Self {
+            statements: Statements::new(bytes),
+            totals,
+            filled: false,
+            ended: false,
+            text: Vec::new(),
+            read: 0,
+        }
+    }
+
+    /// Puts the next statement into `text`, which stays empty at the end.
+    fn advance(&mut self) -> io::Result<()> {
+        self.text.clear();
+        self.read = 0;
+        while let Some(statement) = self.statements.next() {
+            let mut words = words(statement);
+            match words.next() {
+                Some(b"v") => push(&mut self.text, "v", words.take(3)),
+                Some(b"vn") => push(&mut self.text, "vn", words),
+                Some(b"vt") => {
+                    push(&mut self.text, "vt", words.take(2));
+                    // The second is zero where it is left out; a third is not read.
+                    self.text.extend_from_slice(b" 0");
                 }
-                self.positions.push(position);
-                self.first.push(NONE);
+                Some(b"f" | b"fo") => {
+                    self.text.extend_from_slice(b"f ");
+                    let mut corners = 0;
+                    for word in words {
+                        self.filled |= push_corner(&mut self.text, word, self.totals)?;
+                        corners += 1;
+                    }
+                    if corners < 3 {
+                        return Err(io::ErrorKind::InvalidData.into());
+                    }
+                }
+                _ => continue,
             }
-            Some(b"vn") => self.normals.push(Vec3::from(numbers(&mut words)?)),
-            Some(b"vt") => {
-                let u = number(words.next())?;
-                let v = words.next().map_or(Ok(0.0), |word| number(Some(word)))?;
-                self.uvs.push(Vec2::new(u, v));
-            }
-            _ => {}
+            self.text.push(b'\n');
+            return Ok(());
         }
+        if self.filled && !self.ended {
+            self.text.extend_from_slice(b"vt NaN NaN\nvn 0 0 0\n");
+        }
+        self.ended = true;
         Ok(())
     }
+}
 
-    fn face_line(&mut self, line: &[u8]) -> Result<(), String> {
-        let mut words = words(line);
-        match words.next() {
-            Some(b"v") => self.before[0] += 1,
-            Some(b"vt") => self.before[1] += 1,
-            Some(b"vn") => self.before[2] += 1,
-            Some(b"f" | b"fo") => self.face(words)?,
-            _ => {}
+impl Read for Plain<'_> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let count = self.fill_buf()?.read(out)?;
+        self.consume(count);
+        Ok(count)
+    }
+}
+
+impl BufRead for Plain<'_> {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        if self.read >= self.text.len() {
+            self.advance()?;
         }
-        Ok(())
+        Ok(&self.text[self.read..])
     }
 
-    fn face<'a>(&mut self, words: impl Iterator<Item = &'a [u8]>) -> Result<(), String> {
-        let mut polygon = std::mem::take(&mut self.polygon);
-        polygon.clear();
-        for word in words.take_while(|word| !word.starts_with(b"#")) {
-            let corner = self.corner(word)?;
-            polygon.push(self.vertex(corner));
-        }
-        if polygon.len() < 3 {
-            return Err(format!("a face with {} corners", polygon.len()));
-        }
-        triangulate(&polygon, &self.out, &mut self.triangles);
-        self.polygon = polygon;
-        Ok(())
+    fn consume(&mut self, count: usize) {
+        self.read += count;
     }
+}
 
-    /// The indices in `v`, `v/vt`, `v//vn` or `v/vt/vn`, from 1 or, if negative, from the end.
-    fn corner(&self, word: &[u8]) -> Result<Corner, String> {
-        let counts = [self.positions.len(), self.uvs.len(), self.normals.len()];
-        let mut corner = [NONE; 3];
-        for (i, part) in word.split(|&b| b == b'/').enumerate() {
-            if i > 2 || (part.is_empty() && i == 0) {
-                return Err(format!(
-                    "'{}' is not a corner of a face",
-                    String::from_utf8_lossy(word)
-                ));
+fn words(statement: &[u8]) -> impl Iterator<Item = &[u8]> {
+    let pieces = statement.split(u8::is_ascii_whitespace);
+    pieces.filter(|word| !word.is_empty())
+}
+
+/// Which of [`WHAT`] a statement adds to.
+fn entry(name: &[u8]) -> Option<usize> {
+    match name {
+        b"v" => Some(0),
+        b"vt" => Some(1),
+        b"vn" => Some(2),
+        _ => None,
+    }
+}
+
+fn push<'a>(text: &mut Vec<u8>, name: &str, words: impl Iterator<Item = &'a [u8]>) {
+    text.extend_from_slice(name.as_bytes());
+    for word in words {
+        text.push(b' ');
+        text.extend_from_slice(word);
+    }
+}
+
+/// The up to three indices of a corner as they stand there.
+fn indices(word: &[u8]) -> Option<[&[u8]; 3]> {
+    let mut parts = [&b""[..]; 3];
+    for (i, part) in word.split(|&b| b == b'/').enumerate() {
+        *parts.get_mut(i)? = part;
+    }
+    Some(parts)
+}
+
+/// Adds a corner with all its indices to a face; whether one was missing.
+fn push_corner(text: &mut Vec<u8>, word: &[u8], totals: [usize; 3]) -> io::Result<bool> {
+    let refused = || io::Error::from(io::ErrorKind::InvalidData);
+    let parts = indices(word).ok_or_else(refused)?;
+    let zero = |part: &[u8]| part.iter().all(|b| b"+-0".contains(b));
+    let mut filled = false;
+    for (i, part) in parts.iter().enumerate() {
+        if i > 0 {
+            text.push(b'/');
+        }
+        if !part.is_empty() {
+            // tobj takes zero for an index that is left out.
+            if part.len() > MOST_DIGITS || zero(part) {
+                return Err(refused());
             }
+            text.extend_from_slice(part);
+        } else if totals[i] > 0 {
+            text.extend_from_slice((totals[i] + 1).to_string().as_bytes());
+            filled = true;
+        }
+    }
+    text.push(b' ');
+    Ok(filled)
+}
+
+/// The first line that is wrong, and how.
+fn first_mistake(bytes: &[u8], totals: [usize; 3]) -> Option<(usize, String)> {
+    let mut statements = Statements::new(bytes);
+    let mut before = [0; 3];
+    while let Some(statement) = statements.next() {
+        if let Err(problem) = check(statement, totals, &mut before) {
+            return Some((statements.line, problem));
+        }
+    }
+    None
+}
+
+/// Checks a statement and counts the entries `before` the next.
+fn check(statement: &[u8], totals: [usize; 3], before: &mut [usize; 3]) -> Result<(), String> {
+    let mut words = words(statement);
+    let name = words.next().unwrap_or_default();
+    match name {
+        b"v" => vertex(&mut words)?,
+        b"vn" => (0..3).try_for_each(|_| number(words.next()).map(drop))?,
+        b"vt" => {
+            number(words.next())?;
+            words.next().map_or(Ok(0.0), |word| number(Some(word)))?;
+        }
+        b"f" | b"fo" => face(words, totals, *before)?,
+        _ => {}
+    }
+    if let Some(kind) = entry(name) {
+        before[kind] += 1;
+    }
+    Ok(())
+}
+
+fn vertex<'a>(words: &mut impl Iterator<Item = &'a [u8]>) -> Result<(), String> {
+    for _ in 0..3 {
+        if !number(words.next())?.is_finite() {
+            return Err("the vertex is NaN or not finite".to_owned());
+        }
+    }
+    Ok(())
+}
+
+fn number(word: Option<&[u8]>) -> Result<f32, String> {
+    let word = word.ok_or("numbers are missing")?;
+    std::str::from_utf8(word)
+        .ok()
+        .and_then(|text| text.parse().ok())
+        .ok_or_else(|| format!("'{}' is not a number", String::from_utf8_lossy(word)))
+}
+
+/// Checks a face. Negative indices count back from the entries `before` it.
+fn face<'a>(
+    words: impl Iterator<Item = &'a [u8]>,
+    totals: [usize; 3],
+    before: [usize; 3],
+) -> Result<(), String> {
+    let mut corners = 0;
+    for word in words {
+        corners += 1;
+        let no_corner = || {
+            format!(
+                "'{}' is not a corner of a face",
+                String::from_utf8_lossy(word)
+            )
+        };
+        let parts = indices(word).ok_or_else(no_corner)?;
+        if parts[0].is_empty() {
+            return Err(no_corner());
+        }
+        for (i, part) in parts.into_iter().enumerate() {
             if part.is_empty() {
                 continue;
             }
@@ -148,9 +372,9 @@ impl Parser {
                 .and_then(|text| text.parse::<i32>().ok())
                 .map(i64::from)
                 .ok_or_else(|| format!("'{}' is not an index", String::from_utf8_lossy(part)))?;
-            let count = counts[i] as i64;
+            let count = totals[i] as i64;
             let place = if index < 0 {
-                self.before[i] as i64 + index
+                before[i] as i64 + index
             } else {
                 index - 1
             };
@@ -160,81 +384,10 @@ impl Parser {
                     WHAT[i]
                 ));
             }
-            corner[i] = place as u32;
-        }
-        Ok(corner)
-    }
-
-    /// The vertex for a corner, made on first use.
-    fn vertex(&mut self, corner: Corner) -> u32 {
-        let position = corner[0] as usize;
-        let mut at = self.first[position];
-        while at != NONE {
-            if self.corners[at as usize] == corner {
-                return at;
-            }
-            at = self.next[at as usize];
-        }
-        let new = self.corners.len() as u32;
-        self.corners.push(corner);
-        self.out.push(self.positions[position]);
-        self.next.push(self.first[position]);
-        self.first[position] = new;
-        new
-    }
-
-    fn finish(self) -> RawMesh {
-        let normals = self
-            .corners
-            .iter()
-            .map(|corner| {
-                self.normals
-                    .get(corner[2] as usize)
-                    .copied()
-                    .unwrap_or(Vec3::ZERO)
-            })
-            .collect();
-        let uvs = if self.corners.iter().all(|corner| corner[1] == NONE) {
-            Vec::new()
-        } else {
-            self.corners
-                .iter()
-                .map(|corner| {
-                    self.uvs
-                        .get(corner[1] as usize)
-                        .copied()
-                        .unwrap_or(Vec2::NAN)
-                })
-                .collect()
-        };
-        RawMesh {
-            positions: self.out,
-            normals,
-            uvs,
-            triangles: self.triangles,
         }
     }
-}
-
-fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
-    line.split(u8::is_ascii_whitespace)
-        .filter(|word| !word.is_empty())
-}
-
-fn numbers<'a, const N: usize>(
-    words: &mut impl Iterator<Item = &'a [u8]>,
-) -> Result<[f32; N], String> {
-    let mut out = [0.0; N];
-    for value in &mut out {
-        *value = number(words.next())?;
+    if corners < 3 {
+        return Err(format!("a face with {corners} corners"));
     }
-    Ok(out)
-}
-
-fn number(word: Option<&[u8]>) -> Result<f32, String> {
-    let word = word.ok_or("numbers are missing")?;
-    std::str::from_utf8(word)
-        .ok()
-        .and_then(|text| text.parse().ok())
-        .ok_or_else(|| format!("'{}' is not a number", String::from_utf8_lossy(word)))
+    Ok(())
 }

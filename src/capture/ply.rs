@@ -1,4 +1,7 @@
 //! PLY, ASCII and binary, as scanners and Blender write it: one element `vertex`, one element `face`.
+//!
+//! Read here and not by `ply-rs-bw`, the best kept of the libraries: a header of a hundred bytes makes that one use up all
+//! memory, and it skips a repeated property without reading its values.
 
 use super::error::CaptureError;
 use super::mesh_file::RawMesh;

@@ -708,6 +708,36 @@ fn obj_dialects_are_understood() {
 }
 
 #[test]
+fn obj_names_and_comments_may_hold_anything() {
+    let mut text =
+        b"# exported from C:\\models\\\nmtllib Vase gr\xfcn.mtl\no \xe9\nusemtl\ng\n".to_vec();
+    text.extend(b"v 0 0 0 1\nv 1 0 0 1 0.5 0 1 # seven\nv 0 1 0#\n\tf 1 2 3\n");
+    let raw = obj::parse(Path::new("mesh.obj"), &text).expect("mesh");
+    assert_eq!((raw.positions.len(), raw.triangles.len()), (3, 1));
+}
+
+#[test]
+fn obj_corners_without_all_indices_get_nothing_from_others() {
+    // Of two triangles one has texture coordinates and normals, which point the other way than its face.
+    let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 0 0\nv 6 0 0\nv 5 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0.6 0 0.8\n\
+         f 1/1/1 2/2/1 3/3/1\nf 4 5 6\n";
+    let path = Path::new("mesh.obj");
+    let raw = obj::parse(path, text.as_bytes()).expect("mesh");
+    for (position, (normal, uv)) in raw.positions.iter().zip(raw.normals.iter().zip(&raw.uvs)) {
+        let first = position.x < 2.0;
+        let stated = Vec3::new(0.6, 0.0, 0.8);
+        assert_eq!(*normal, if first { stated } else { Vec3::ZERO });
+        assert_eq!(uv.is_nan(), !first);
+    }
+    // The entry that stands for a missing index can't be named.
+    let message = obj::parse(path, text.replace("f 4 5 6", "f 4/4 5 6").as_bytes())
+        .expect_err("out of range")
+        .to_string();
+    let part = "line 12: texture coordinate index 4 is out of range: the file has 3";
+    assert!(message.contains(part), "{message}");
+}
+
+#[test]
 fn broken_obj_lines_are_named() {
     for (text, part) in [
         (
@@ -717,6 +747,26 @@ fn broken_obj_lines_are_named() {
         (
             "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n",
             "line 4: vertex index 0 is out of range",
+        ),
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/0\n",
+            "line 5: texture coordinate index 0 is out of range",
+        ),
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1 2 3//-2\n",
+            "line 5: normal index -2 is out of range",
+        ),
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -9223372036854775807\n",
+            "line 4: '-9223372036854775807' is not an index",
+        ),
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3/1/1/1\n",
+            "line 4: '3/1/1/1' is not a corner",
+        ),
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 \\\n2 \\\n3\nf 1 2 x\n",
+            "line 7: 'x' is not an index",
         ),
         (
             "v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n",
