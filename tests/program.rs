@@ -2,8 +2,9 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
 
@@ -174,4 +175,71 @@ fn a_missing_capture_is_one_message_and_status_2() {
     assert!(message.contains("no/such/folder"), "{message}");
     assert_eq!(message.trim().lines().count(), 1, "{message}");
     assert!(!solution.exists(), "nothing may be written");
+}
+
+/// Runs the program, presses Ctrl-C once it says `moment`, and returns its exit status.
+#[cfg(unix)]
+fn interrupt_at(moment: &str, arguments: &[&str]) -> Option<i32> {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_rekindle"))
+        .args(arguments)
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let said = BufReader::new(program.stderr.take().unwrap());
+    let mut lines = said.lines().map_while(Result::ok);
+    assert!(lines.any(|line| line.starts_with(moment)), "no {moment}");
+    let pressed = Command::new("kill")
+        .args(["-INT", &program.id().to_string()])
+        .status();
+    assert!(pressed.unwrap().success(), "the program has ended before");
+    // Its output must be read to the end, or it would wait.
+    lines.for_each(drop);
+    program.wait().unwrap().code()
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_leaves_nothing_at_any_moment() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let source = capture("spot_paper");
+    let source = source.to_str().unwrap();
+    let nothing_new = |moment: &str, expected: &[&str]| {
+        let mut found: Vec<String> = std::fs::read_dir(folder.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        found.sort();
+        assert_eq!(found, expected, "after Ctrl-C while {moment}");
+    };
+    for moment in [
+        "reading the capture",
+        "finding what each view sees",
+        "collecting highlights",
+        "estimating roughness",
+        "reconstructing the texture",
+        "separating texture and shading",
+        "writing the solution",
+    ] {
+        let arguments = ["solve", source, "-o", &path("deep/solution")];
+        let arguments = [&arguments[..], &["--frequency", "20"]].concat();
+        assert_eq!(interrupt_at(moment, &arguments), Some(130), "{moment}");
+        nothing_new(moment, &[]);
+    }
+    let solution = path("solution");
+    let run = rekindle(&["solve", source, "-o", &solution, "--frequency", "20"]);
+    assert!(run.status.success());
+    let cameras = format!("{source}/truth/novel/transforms.json");
+    for moment in ["reading the solution", "rendering view_000"] {
+        let pictures = path("pictures");
+        let arguments = ["render", &solution, "--cameras", &cameras, "-o", &pictures];
+        assert_eq!(interrupt_at(moment, &arguments), Some(130), "{moment}");
+        nothing_new(moment, &["solution"]);
+    }
+    // An earlier solution survives the interrupted writing of its successor.
+    let arguments = ["solve", source, "-o", &solution, "--frequency", "20"];
+    let status = interrupt_at("writing the solution", &arguments);
+    assert_eq!(status, Some(130));
+    nothing_new("writing the solution anew", &["solution"]);
+    assert!(rekindle(&["info", &solution]).status.success());
 }

@@ -4,6 +4,7 @@
 mod demo;
 mod info;
 mod info_solution;
+mod interrupt;
 mod progress;
 mod render;
 mod solve;
@@ -13,13 +14,10 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use clap::{Args, Parser, Subcommand};
-
-use crate::solution::remove_unfinished;
+use interrupt::{INTERRUPTED, Interrupted};
 
 /// Exit status for bad input and usage, as clap's own.
 const BAD_INPUT: u8 = 2;
-/// Exit status after Ctrl-C.
-const INTERRUPTED: i32 = 130;
 
 /// Relights a captured object: recovers texture, roughness and lighting from a few HDR photographs.
 ///
@@ -73,6 +71,7 @@ pub fn run() -> ExitCode {
     };
     match execute(&cli) {
         Ok(()) => ExitCode::SUCCESS,
+        Err(error) if error.is::<Interrupted>() => ExitCode::from(INTERRUPTED),
         Err(error) => {
             eprintln!("rekindle: {error:#}");
             ExitCode::from(BAD_INPUT)
@@ -81,11 +80,7 @@ pub fn run() -> ExitCode {
 }
 
 fn execute(cli: &Cli) -> anyhow::Result<()> {
-    ctrlc::set_handler(|| {
-        remove_unfinished();
-        std::process::exit(INTERRUPTED);
-    })
-    .context("can't listen for Ctrl-C")?;
+    interrupt::listen()?;
     if let Some(threads) = cli.output.threads {
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads.into())

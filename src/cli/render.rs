@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 use glam::Vec3;
 
+use super::interrupt;
 use super::progress::Progress;
 use super::{OutputArgs, print_json};
 use crate::capture::{Camera, read_cameras};
@@ -130,6 +131,7 @@ impl<'a> Renderer<'a> {
         };
         let mut files = Vec::new();
         for (i, shot) in shots.iter().enumerate() {
+            interrupt::check()?;
             progress.stage(
                 &format!("rendering {}", shot.stem),
                 i as f32 / shots.len() as f32,

@@ -4,9 +4,9 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::anyhow;
 use clap::ValueEnum;
 
+use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
 use crate::capture::Capture;
@@ -101,16 +101,24 @@ fn positive(text: &str) -> Result<f32, String> {
     }
 }
 
-/// Shows a solve's progress. Ctrl-C ends the whole process, so it never stops a solve.
+/// Shows a solve's progress and stops it after Ctrl-C.
 struct Shown<'a>(&'a mut Progress);
 
 impl Observer for Shown<'_> {
     fn progress(&mut self, what: &str, fraction: f32) -> ControlFlow<()> {
         self.0.stage(what, fraction);
-        ControlFlow::Continue(())
+        go_on()
     }
 
     fn iteration(&mut self, _: &Iteration, _: &dyn Fn() -> Vec<[f32; 3]>) -> ControlFlow<()> {
+        go_on()
+    }
+}
+
+fn go_on() -> ControlFlow<()> {
+    if interrupt::asked() {
+        ControlFlow::Break(())
+    } else {
         ControlFlow::Continue(())
     }
 }
@@ -122,8 +130,10 @@ pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
     let started = Instant::now();
     let capture = Capture::load(&args.capture)?;
     let load_s = started.elapsed().as_secs_f64();
+    interrupt::check()?;
     let solution = solve_capture(&capture, load_s, &args.options, &mut progress)?;
     progress.stage("writing the solution", 0.97);
+    interrupt::check()?;
     let timings = solution.save(&args.output)?;
     progress.finish();
     if output.json {
@@ -152,7 +162,7 @@ pub(super) fn solve_capture(
     progress: &mut Progress,
 ) -> anyhow::Result<Solution> {
     let solution = solve(capture, &options.options(), load_s, &mut Shown(progress))
-        .map_err(|_| anyhow!("the solve was stopped"))?;
+        .map_err(Interrupted::from)?;
     for warning in &solution.diagnostics.warnings {
         progress.warn(warning);
     }

@@ -20,7 +20,7 @@ pub use error::SolutionError;
 pub use exr_file::{write_rgb, write_rgba};
 pub use format::Fit;
 pub use solve::{SolveOptions, solve};
-pub use staging::{Staging, remove_unfinished};
+pub use staging::{Staging, abandon_unfinished};
 
 use std::fs;
 use std::io;

@@ -90,18 +90,18 @@ pub fn solve(
     let mesh = &capture.mesh;
     report(observer, SURFACE)?;
     let occluder = Occluder::new(mesh);
-    let surfaces: Vec<ViewSurface> = capture
-        .views
-        .iter()
-        .map(|view| ViewSurface::new(mesh, &occluder, &view.camera))
-        .collect();
+    let mut surfaces = Vec::with_capacity(capture.views.len());
+    for view in &capture.views {
+        report(observer, SURFACE)?;
+        surfaces.push(ViewSurface::new(mesh, &occluder, &view.camera));
+    }
+    report(observer, SURFACE)?;
     let density = wanted_density(mesh, &capture.views, &surfaces, TEXELS_PER_PIXEL);
     let atlas = Atlas::new(mesh, &density);
     let grid = hemisphere(capture, options);
     clock.lap("surface");
 
-    report(observer, HEMISPHERES)?;
-    let pictures = hemispheres(capture, &surfaces, &atlas, &grid);
+    let pictures = hemispheres(capture, &surfaces, &atlas, &grid, observer)?;
     clock.lap("hemispheres");
 
     report(observer, ESTIMATE)?;
@@ -183,17 +183,16 @@ fn hemispheres(
     surfaces: &[ViewSurface],
     atlas: &Atlas,
     grid: &HemisphereGrid,
-) -> Vec<HemispherePicture> {
+    observer: &mut dyn Observer,
+) -> Result<Vec<HemispherePicture>, Stopped> {
+    report(observer, HEMISPHERES)?;
     let minimum = minimum_texture(&capture.mesh, atlas, &capture.views, surfaces);
-    let partials: Vec<PartialHemisphere> = capture
-        .views
-        .iter()
-        .zip(surfaces)
-        .map(|(view, surface)| {
-            SpecularImage::new(&capture.mesh, atlas, &minimum, view, surface)
-                .partial_hemisphere(grid, view.camera.position().as_vec3())
-        })
-        .collect();
+    let mut partials: Vec<PartialHemisphere> = Vec::with_capacity(surfaces.len());
+    for (view, surface) in capture.views.iter().zip(surfaces) {
+        report(observer, HEMISPHERES)?;
+        let specular = SpecularImage::new(&capture.mesh, atlas, &minimum, view, surface);
+        partials.push(specular.partial_hemisphere(grid, view.camera.position().as_vec3()));
+    }
     let missing = MISSING_VIEWS.min(partials.len().saturating_sub(2));
     let initial = InitialHemisphere::new(&partials, missing);
     let picture = |name: String, radiance: &[[f32; 3]]| HemispherePicture {
@@ -204,7 +203,7 @@ fn hemispheres(
     for (i, partial) in partials.iter().enumerate() {
         pictures.push(picture(format!("partial_{i:03}"), &partial.radiance));
     }
-    pictures
+    Ok(pictures)
 }
 
 fn name_lamps(grid: &HemisphereGrid, found: &Estimate) -> Vec<SolutionLamp> {

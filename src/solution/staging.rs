@@ -7,20 +7,59 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Folders being written, so that an interrupted program can take them away.
-static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+static UNFINISHED: Mutex<Vec<Folders>> = Mutex::new(Vec::new());
 
-fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
+fn unfinished() -> MutexGuard<'static, Vec<Folders>> {
     UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes everything half-written. For a program that is about to exit: writers still running fail from now on.
-pub fn remove_unfinished() {
-    for path in unfinished().drain(..) {
+/// Removes everything half-written, for a program that exits right after: writers still running fail from now on, and
+/// nothing can be put into its place any more. A result that is just being put there is waited for.
+pub fn abandon_unfinished() {
+    let mut all = unfinished();
+    for folders in all.drain(..) {
         // A writer may put one more file into the folder while it is being emptied.
         for _ in 0..20 {
-            if fs::remove_dir_all(&path).is_ok() || !path.exists() {
+            folders.remove();
+            if !folders.path.exists() {
                 break;
             }
+        }
+    }
+    // Never unlocked: whoever would put a result into its place waits for the end of the program.
+    std::mem::forget(all);
+}
+
+/// A folder being written and those above it that were made for it, the innermost first.
+#[derive(Clone, Debug)]
+struct Folders {
+    path: PathBuf,
+    parents: Vec<PathBuf>,
+}
+
+impl Folders {
+    fn make(path: PathBuf, parent: &Path) -> io::Result<Self> {
+        let missing = parent.ancestors().take_while(|p| !p.exists());
+        let folders = Self {
+            path,
+            parents: missing.map(Path::to_owned).collect(),
+        };
+        let made = fs::create_dir_all(parent).and_then(|()| {
+            if folders.path.exists() {
+                // Left behind by a killed process that had the same id.
+                fs::remove_dir_all(&folders.path)?;
+            }
+            fs::create_dir(&folders.path)
+        });
+        made.inspect_err(|_| folders.remove())?;
+        Ok(folders)
+    }
+
+    /// Removes what is there: the folder, unless it was renamed into place, and the parents that are empty.
+    fn remove(&self) {
+        let _ = fs::remove_dir_all(&self.path);
+        for parent in &self.parents {
+            let _ = fs::remove_dir(parent);
         }
     }
 }
@@ -28,7 +67,7 @@ pub fn remove_unfinished() {
 /// A folder that becomes the result, or vanishes.
 #[derive(Debug)]
 pub struct Staging {
-    path: PathBuf,
+    folders: Folders,
     target: PathBuf,
 }
 
@@ -44,34 +83,35 @@ impl Staging {
             Some(p) if !p.as_os_str().is_empty() => p,
             _ => Path::new("."),
         };
-        fs::create_dir_all(parent)?;
         let path = parent.join(format!(".{name}.unfinished-{}", std::process::id()));
-        if path.exists() {
-            // Left behind by a killed process that had the same id.
-            fs::remove_dir_all(&path)?;
-        }
-        unfinished().push(path.clone());
-        let staging = Self {
-            path,
+        let mut all = unfinished();
+        let folders = Folders::make(path, parent)?;
+        all.push(folders.clone());
+        Ok(Self {
+            folders,
             target: target.to_owned(),
-        };
-        fs::create_dir(&staging.path)?;
-        Ok(staging)
+        })
     }
 
     /// The folder to write into.
     pub fn path(&self) -> &Path {
-        &self.path
+        &self.folders.path
     }
 
     /// Puts the folder in the place of the target, which is removed if it exists.
     pub fn replace(self) -> io::Result<()> {
+        let _uninterrupted = unfinished();
         if !self.target.exists() {
-            return fs::rename(&self.path, &self.target);
+            return fs::rename(self.path(), &self.target);
         }
-        let old = self.path.with_extension("old");
+        let mut old = self.path().to_owned().into_os_string();
+        old.push("-old");
+        let old = PathBuf::from(old);
+        if old.exists() {
+            fs::remove_dir_all(&old)?;
+        }
         fs::rename(&self.target, &old)?;
-        if let Err(error) = fs::rename(&self.path, &self.target) {
+        if let Err(error) = fs::rename(self.path(), &self.target) {
             fs::rename(&old, &self.target)?;
             return Err(error);
         }
@@ -80,15 +120,16 @@ impl Staging {
 
     /// Moves the folder's files into the target, which may hold others.
     pub fn add(self) -> io::Result<()> {
+        let _uninterrupted = unfinished();
         if !self.target.exists() {
-            return fs::rename(&self.path, &self.target);
+            return fs::rename(self.path(), &self.target);
         }
-        let mut names: Vec<PathBuf> = fs::read_dir(&self.path)?
+        let mut names: Vec<PathBuf> = fs::read_dir(self.path())?
             .map(|entry| entry.map(|e| PathBuf::from(e.file_name())))
             .collect::<io::Result<_>>()?;
         names.sort();
         for name in names {
-            fs::rename(self.path.join(&name), self.target.join(&name))?;
+            fs::rename(self.path().join(&name), self.target.join(&name))?;
         }
         Ok(())
     }
@@ -96,9 +137,8 @@ impl Staging {
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        unfinished().retain(|p| *p != self.path);
-        // Renamed into place it is no longer there.
-        let _ = fs::remove_dir_all(&self.path);
+        unfinished().retain(|folders| folders.path != self.folders.path);
+        self.folders.remove();
     }
 }
 
@@ -113,6 +153,17 @@ mod tests {
         fs::write(staging.path().join("half"), "x").unwrap();
         drop(staging);
         assert_eq!(fs::read_dir(parent.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn folders_made_for_an_abandoned_one_vanish_too() {
+        let parent = tempfile::tempdir().unwrap();
+        let target = parent.path().join("one/two/result");
+        drop(Staging::beside(&target).unwrap());
+        assert!(!parent.path().join("one").exists());
+        let staging = Staging::beside(&target).unwrap();
+        staging.replace().unwrap();
+        assert!(target.exists());
     }
 
     #[test]

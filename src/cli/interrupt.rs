@@ -1,0 +1,49 @@
+//! Ctrl-C: the running command is asked to stop, and is stopped if it does not answer.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::sleep;
+use std::time::Duration;
+
+use anyhow::Context as _;
+
+use crate::estimate::Stopped;
+use crate::solution::abandon_unfinished;
+
+/// Exit status after Ctrl-C.
+pub(super) const INTERRUPTED: u8 = 130;
+/// How long a command has to stop by itself, which together with its end stays within a tenth of a second.
+const GRACE: Duration = Duration::from_millis(30);
+
+static ASKED: AtomicBool = AtomicBool::new(false);
+
+/// Listens for Ctrl-C from now on.
+pub(super) fn listen() -> anyhow::Result<()> {
+    ctrlc::set_handler(|| {
+        ASKED.store(true, Ordering::Relaxed);
+        sleep(GRACE);
+        abandon_unfinished();
+        std::process::exit(INTERRUPTED.into());
+    })
+    .context("can't listen for Ctrl-C")
+}
+
+/// Whether the command is to stop.
+pub(super) fn asked() -> bool {
+    ASKED.load(Ordering::Relaxed)
+}
+
+/// Fails with [`Interrupted`] if the command is to stop.
+pub(super) fn check() -> Result<(), Interrupted> {
+    if asked() { Err(Interrupted) } else { Ok(()) }
+}
+
+/// The command was stopped by Ctrl-C.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+#[error("interrupted")]
+pub(super) struct Interrupted;
+
+impl From<Stopped> for Interrupted {
+    fn from(_: Stopped) -> Self {
+        Self
+    }
+}
