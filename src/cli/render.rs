@@ -11,7 +11,7 @@ use super::interrupt;
 use super::progress::Progress;
 use super::{OutputArgs, print_json};
 use crate::capture::{Camera, read_cameras};
-use crate::relight::{self, Diffuse, Edit, Picture, Scene, Shader};
+use crate::relight::{self, Diffuse, Edit, Interreflection, Picture, Scene, Shader};
 use crate::solution::{Solution, Staging, write_rgb, write_rgba};
 use crate::surface::Occluder;
 
@@ -124,10 +124,16 @@ impl<'a> Renderer<'a> {
             brdf: solution.brdf,
         };
         let shader = Shader::new(&self.occluder, solution.brdf, &lighting);
+        let interreflection = (lighting != original)
+            .then(|| Interreflection::new(scene.mesh, scene.occluder, scene.brdf))
+            .flatten();
+        let indirect = interreflection.as_ref().map(|interreflection| {
+            interreflection.of_light(scene.mesh, &shader, &solution.atlas, &solution.albedo)
+        });
         let diffuse = if lighting == original {
             Diffuse::Stored(&solution.atlas, &solution.diffuse)
         } else {
-            Diffuse::Relit(&solution.atlas, &solution.albedo)
+            Diffuse::Relit(&solution.atlas, &solution.albedo, indirect.as_ref())
         };
         let mut files = Vec::new();
         for (i, shot) in shots.iter().enumerate() {

@@ -140,6 +140,17 @@ impl Brdf {
         }
     }
 
+    /// `K_S` of eq. 4, by which estimated lights are larger than real ones: F(normal incidence)/(8πσ²) in the microfacet
+    /// model, whose lobe is normalised; the paper's model leaves it open.
+    pub fn specular_scale(&self) -> Option<f32> {
+        match self.model {
+            SpecularModel::Paper => None,
+            SpecularModel::Microfacet => {
+                Some(NORMAL_FRESNEL / (8.0 * std::f32::consts::PI * self.sigma * self.sigma))
+            }
+        }
+    }
+
     /// Angle α beyond which D(α) is below `cutoff` of its peak, in radians.
     pub fn half_angle_support(&self, cutoff: f32) -> f32 {
         let reach = self.sigma * (-2.0 * cutoff.ln()).max(0.0).sqrt();

@@ -8,6 +8,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::diffuse::DiffuseTexture;
+use super::interreflection::Interreflection;
 use super::render::Scene;
 use super::shading::{Shader, ShadingPoint, Visibility};
 use crate::surface::Atlas;
@@ -44,7 +45,10 @@ pub fn separate(
     shader: &Shader,
     texture: &mut DiffuseTexture,
 ) -> Albedo {
-    let irradiance = texel_irradiance(scene, atlas, shader);
+    let mut irradiance = texel_irradiance(scene, atlas, shader);
+    if let Some(interreflection) = Interreflection::new(scene.mesh, scene.occluder, scene.brdf) {
+        add_interreflection(scene, atlas, &interreflection, texture, &mut irradiance);
+    }
     let typical = typical_irradiance(atlas, &irradiance);
     let texels = texture.radiance.len();
     let mut albedo = vec![Vec3::ZERO; texels];
@@ -80,18 +84,57 @@ pub fn separate(
     }
 }
 
-/// A surface point with its triangle's plane.
-fn shading_point(scene: &Scene, triangle: u32, barycentric: Vec2) -> ShadingPoint {
-    let point = scene.mesh.point(triangle, barycentric);
-    let face_normal = scene.mesh.face_normal(triangle);
-    ShadingPoint {
-        position: point.position,
-        normal: point.normal,
-        face_normal: if face_normal == Vec3::ZERO {
-            point.normal
+/// Adds what the surface itself sends: its radiance is known from the pictures, and taken for the mean where it is not.
+fn add_interreflection(
+    scene: &Scene,
+    atlas: &Atlas,
+    interreflection: &Interreflection,
+    texture: &DiffuseTexture,
+    irradiance: &mut [Vec3],
+) {
+    let mut mean = Mean::default();
+    for texel in atlas.texels.iter().filter(|t| !t.gutter) {
+        let t = texel.index as usize;
+        mean.add(texture.radiance[t].into(), texture.confidence[t]);
+    }
+    let radiance: Vec<[f32; 3]> = texture
+        .radiance
+        .iter()
+        .zip(&texture.confidence)
+        .map(|(&r, &c)| if c < SEEN { mean.value().into() } else { r })
+        .collect();
+    let indirect = interreflection.of_radiance(scene.mesh, &|triangle, barycentric| {
+        atlas.sample(&radiance, triangle, barycentric)
+    });
+    let added: Vec<Vec3> = atlas
+        .texels
+        .par_iter()
+        .map(|texel| indirect.at(scene.mesh, texel.triangle, texel.barycentric))
+        .collect();
+    for (texel, added) in atlas.texels.iter().zip(added) {
+        irradiance[texel.index as usize] += added;
+    }
+}
+
+/// A weighted mean.
+#[derive(Default)]
+struct Mean {
+    sum: glam::DVec3,
+    weight: f64,
+}
+
+impl Mean {
+    fn add(&mut self, value: Vec3, weight: f32) {
+        self.sum += value.as_dvec3() * f64::from(weight);
+        self.weight += f64::from(weight);
+    }
+
+    fn value(&self) -> Vec3 {
+        if self.weight > 0.0 {
+            (self.sum / self.weight).as_vec3()
         } else {
-            face_normal
-        },
+            Vec3::ZERO
+        }
     }
 }
 
@@ -114,7 +157,7 @@ fn triangle_visibility(
             if texels[t as usize] > SMALL_TRIANGLE {
                 return Vec::new();
             }
-            let centroid = shading_point(scene, t, Vec2::splat(1.0 / 3.0));
+            let centroid = ShadingPoint::on(mesh, t, Vec2::splat(1.0 / 3.0));
             (0..groups).map(|g| shader.cast(&centroid, g)).collect()
         })
         .collect();
@@ -164,7 +207,7 @@ fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Vec3> 
         .texels
         .par_iter()
         .map(|texel| {
-            let point = shading_point(scene, texel.triangle, texel.barycentric);
+            let point = ShadingPoint::on(scene.mesh, texel.triangle, texel.barycentric);
             let value = match &triangles[texel.triangle as usize] {
                 Some(seen) => Ok(shader.irradiance(&point, seen)),
                 None => Err(point),
@@ -257,7 +300,7 @@ fn fill(
     let places = welded.iter().map(|&w| w as usize + 1).max().unwrap_or(0);
     let mut sum = vec![glam::DVec3::ZERO; places];
     let mut weight = vec![0.0_f64; places];
-    let (mut all, mut all_weight) = (glam::DVec3::ZERO, 0.0);
+    let mut mean = Mean::default();
     for texel in atlas.texels.iter().filter(|t| !t.gutter) {
         let t = texel.index as usize;
         let w = f64::from(known[t] * confidence[t]);
@@ -265,8 +308,7 @@ fn fill(
             continue;
         }
         let value = albedo[t].as_dvec3();
-        all += value * w;
-        all_weight += w;
+        mean.add(albedo[t], known[t] * confidence[t]);
         let (u, v) = (texel.barycentric.x, texel.barycentric.y);
         let corners = mesh.triangles[texel.triangle as usize];
         for (corner, share) in corners.into_iter().zip([1.0 - u - v, u, v]) {
@@ -276,11 +318,7 @@ fn fill(
             weight[place] += w;
         }
     }
-    let mean = if all_weight > 0.0 {
-        all / all_weight
-    } else {
-        glam::DVec3::ZERO
-    };
+    let mean = mean.value();
     let mut value: Vec<Option<Vec3>> = (0..places)
         .map(|p| (weight[p] > 1e-6).then(|| (sum[p] / weight[p]).as_vec3()))
         .collect();
@@ -305,7 +343,7 @@ fn fill(
             if total > 1e-6 {
                 sum / total
             } else {
-                mean.as_vec3()
+                mean
             }
         })
         .collect()

@@ -7,6 +7,7 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
+use super::interreflection::Indirect;
 use super::samples::{Sample, Samples, bands};
 use super::shading::{Shade, Shader, ShadingPoint, Visibility};
 use crate::capture::{Camera, Mesh};
@@ -42,8 +43,8 @@ pub enum Diffuse<'a> {
     Absent,
     /// The stored diffuse texture: the light is as it was.
     Stored(&'a Atlas, &'a [[f32; 3]]),
-    /// Pseudo-albedo × irradiance (eq. 18).
-    Relit(&'a Atlas, &'a [[f32; 3]]),
+    /// Pseudo-albedo × irradiance (eq. 18), the interreflected part of it given.
+    Relit(&'a Atlas, &'a [[f32; 3]], Option<&'a Indirect<'a>>),
 }
 
 /// A rendered picture, row by row from the top; linear radiance, premultiplied by coverage.
@@ -241,10 +242,12 @@ impl Tile<'_> {
         };
         for (shade, piece) in shades {
             pixel.specular += shade.specular * (piece.members.count_ones() as f32 * share);
-            let (atlas, texture, light) = match diffuse {
+            let (atlas, texture, light, indirect) = match diffuse {
                 Diffuse::Absent => continue,
-                Diffuse::Stored(atlas, texture) => (atlas, texture, Vec3::ONE),
-                Diffuse::Relit(atlas, albedo) => (atlas, albedo, shade.irradiance),
+                Diffuse::Stored(atlas, texture) => (atlas, texture, Vec3::ONE, None),
+                Diffuse::Relit(atlas, albedo, indirect) => {
+                    (atlas, albedo, shade.irradiance, indirect)
+                }
             };
             let cos_view = piece.point.normal.dot(self.view(&piece.point));
             let through = self
@@ -254,26 +257,20 @@ impl Tile<'_> {
             let mut sum = Vec3::ZERO;
             for (i, sample) in samples.iter().enumerate() {
                 if piece.members >> i & 1 == 1 {
-                    sum += atlas.sample(texture, sample.triangle, sample.barycentric);
+                    let around = indirect.map_or(Vec3::ZERO, |indirect| {
+                        indirect.at(self.scene.mesh, sample.triangle, sample.barycentric)
+                    });
+                    sum += atlas.sample(texture, sample.triangle, sample.barycentric)
+                        * (light + around);
                 }
             }
-            pixel.diffuse += sum * light * (share * through);
+            pixel.diffuse += sum * (share * through);
         }
         pixel
     }
 
     fn point(&self, sample: &Sample) -> ShadingPoint {
-        let surface = self.scene.mesh.point(sample.triangle, sample.barycentric);
-        let face_normal = self.scene.mesh.face_normal(sample.triangle);
-        ShadingPoint {
-            position: surface.position,
-            normal: surface.normal,
-            face_normal: if face_normal == Vec3::ZERO {
-                surface.normal
-            } else {
-                face_normal
-            },
-        }
+        ShadingPoint::on(self.scene.mesh, sample.triangle, sample.barycentric)
     }
 
     /// Groups a pixel's samples into smooth pieces, the largest first.

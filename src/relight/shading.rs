@@ -5,15 +5,16 @@
 //!
 //! over the nodes of all lamps. a = (R/|p − x|)² is the fall-off of a node at the finite distance R (1 for distant
 //! light), M ∈ {0, 1} whether a ray from the surface reaches the node. Light from behind the shading normal or
-//! behind the triangle's plane contributes nothing. Interreflection is left out.
+//! behind the triangle's plane contributes nothing. Interreflection is added elsewhere.
 //!
 //! A lamp is many nodes, and most points see either all of them or none: a few probes at its rim and centre tell, and
 //! only where they disagree (the penumbra) every node has its ray. On a grid of neighbouring points even the
 //! probes are cast for every fourth point only; see [`Shader::visibility`].
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 use super::lighting::{LampNodes, Lighting};
+use crate::capture::Mesh;
 use crate::estimate::Brdf;
 use crate::surface::Occluder;
 
@@ -41,6 +42,23 @@ pub struct ShadingPoint {
     pub normal: Vec3,
     /// Unit normal of the triangle's plane.
     pub face_normal: Vec3,
+}
+
+impl ShadingPoint {
+    /// The point of a triangle at the weights of its second and third corner.
+    pub fn on(mesh: &Mesh, triangle: u32, barycentric: Vec2) -> Self {
+        let point = mesh.point(triangle, barycentric);
+        let face_normal = mesh.face_normal(triangle);
+        Self {
+            position: point.position,
+            normal: point.normal,
+            face_normal: if face_normal == Vec3::ZERO {
+                point.normal
+            } else {
+                face_normal
+            },
+        }
+    }
 }
 
 /// How much of a lamp a point sees, its own horizon aside.

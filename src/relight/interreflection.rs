@@ -1,0 +1,436 @@
+//! Light that reaches a surface point by way of the surface itself.
+//!
+//! The irradiance of a point x by interreflection is E(x) = ∫ B(y) T(cos θ_x) T(cos θ_y) cos θ_x dω over the directions
+//! in which another surface point y is seen, B being y's diffuse radiance towards normal incidence and T the diffuse
+//! transmittance of [`Brdf`]. Under the light of the capture B is the diffuse texture itself. Under new light it is
+//! pseudo-albedo × irradiance, with irradiance again direct plus interreflected: a radiosity problem (Goral et al.
+//! 1984), solved by Jacobi iteration.
+//!
+//! Lights are only known times K_S (eq. 4), so E must be scaled by K_S too. The paper's model leaves K_S open and then
+//! nothing can be said; in the microfacet model it follows from roughness and Fresnel factor, [`Brdf::specular_scale`].
+//!
+//! E varies slowly. It is gathered at points a hundredth of the object's size apart, each with a fixed set of rays,
+//! and interpolated: over a lattice on every triangle, first, whose values weigh the gather points nearby by distance
+//! and normal.
+
+use std::f32::consts::{PI, TAU};
+
+use glam::{IVec3, Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::shading::{Shader, ShadingPoint, Visibility};
+use crate::capture::Mesh;
+use crate::estimate::Brdf;
+use crate::surface::{Atlas, Occluder};
+
+/// Distance of gather points as a part of the object's diagonal.
+const SPACING: f32 = 1.0 / 90.0;
+/// Lattice points at most: beyond, the spacing grows.
+const MAX_PLACES: usize = 3_000_000;
+/// Rays of each gather point.
+const RAYS: usize = 96;
+/// Rounds of interreflection of new light. A round leaves at most albedo × hidden part of the sky of what is missing.
+const BOUNCES: usize = 6;
+
+/// How light passes from surface to surface: geometry and transmittances, whatever the light and the texture.
+pub struct Interreflection {
+    lattice: Lattice,
+    gather: Vec<ShadingPoint>,
+    /// Gather point of each lattice place, the one of its own cell.
+    own: Vec<u32>,
+    /// Gather points that may lie near those of gather point `i`: `near[near_starts[i]..near_starts[i + 1]]`.
+    near_starts: Vec<u32>,
+    near: Vec<u32>,
+    /// Rays of gather point `i` that met the surface: `hits[starts[i]..starts[i + 1]]`.
+    starts: Vec<u32>,
+    hits: Vec<Hit>,
+    spacing: f32,
+}
+
+/// A ray that met the surface.
+#[derive(Clone, Copy)]
+struct Hit {
+    triangle: u32,
+    barycentric: Vec2,
+    /// Irradiance, K_S-scaled, per unit of diffuse radiance.
+    weight: f32,
+}
+
+/// Interreflected irradiance everywhere on the surface.
+pub struct Indirect<'a> {
+    lattice: &'a Lattice,
+    /// One per place of the lattice.
+    irradiance: Vec<Vec3>,
+}
+
+impl Indirect<'_> {
+    /// K_S-scaled irradiance, RGB, transmittance inside, at a point of the mesh.
+    pub fn at(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> Vec3 {
+        self.lattice
+            .corners(mesh, triangle, barycentric)
+            .into_iter()
+            .map(|(place, share)| self.irradiance[place as usize] * share)
+            .sum()
+    }
+}
+
+impl Interreflection {
+    /// Casts the rays. `None` where the model leaves open how strong interreflection is.
+    pub fn new(mesh: &Mesh, occluder: &Occluder, brdf: Option<Brdf>) -> Option<Self> {
+        let brdf = brdf?;
+        let scale = brdf.specular_scale()?;
+        let mut spacing = SPACING * mesh.diagonal();
+        let mut lattice = Lattice::new(mesh, spacing);
+        while lattice.places > MAX_PLACES.max(mesh.positions.len()) {
+            spacing *= 1.5;
+            lattice = Lattice::new(mesh, spacing);
+        }
+        let places = lattice.points(mesh);
+        let clusters = Clusters::new(&places, spacing);
+        let rays: Vec<Vec<Hit>> = clusters
+            .gather
+            .par_iter()
+            .enumerate()
+            .map(|(i, point)| cast(mesh, occluder, brdf, scale, point, i))
+            .collect();
+        let mut starts = vec![0];
+        let mut hits = Vec::with_capacity(rays.iter().map(Vec::len).sum());
+        for mut row in rays {
+            hits.append(&mut row);
+            starts.push(hits.len() as u32);
+        }
+        Some(Self {
+            lattice,
+            gather: clusters.gather,
+            own: clusters.own,
+            near_starts: clusters.near_starts,
+            near: clusters.near,
+            starts,
+            hits,
+            spacing,
+        })
+    }
+
+    /// Interreflected irradiance where the surface's diffuse radiance towards normal incidence is `radiance(triangle,
+    /// barycentric)`.
+    pub fn of_radiance(
+        &self,
+        mesh: &Mesh,
+        radiance: &(dyn Fn(u32, Vec2) -> Vec3 + Sync),
+    ) -> Indirect<'_> {
+        let gathered: Vec<Vec3> = (0..self.gather.len())
+            .into_par_iter()
+            .map(|i| {
+                self.hits_of(i)
+                    .iter()
+                    .map(|h| radiance(h.triangle, h.barycentric) * h.weight)
+                    .sum()
+            })
+            .collect();
+        self.spread(mesh, &gathered)
+    }
+
+    /// Interreflected irradiance under the light of `shader`, on a surface with this pseudo-albedo.
+    pub fn of_light(
+        &self,
+        mesh: &Mesh,
+        shader: &Shader,
+        atlas: &Atlas,
+        albedo: &[[f32; 3]],
+    ) -> Indirect<'_> {
+        let direct: Vec<Vec3> = self
+            .gather
+            .par_iter()
+            .map(|point| {
+                let seen: Vec<Visibility> = (0..shader.groups())
+                    .map(|g| shader.cast(point, g))
+                    .collect();
+                shader.irradiance(point, &seen)
+            })
+            .collect();
+        // What each hit passes on of the irradiance at its own gather point.
+        let passed: Vec<(u32, Vec3)> = self
+            .hits
+            .par_iter()
+            .map(|h| {
+                let place = self.lattice.nearest(mesh, h.triangle, h.barycentric);
+                let albedo = atlas.sample(albedo, h.triangle, h.barycentric);
+                (self.own[place as usize], albedo * h.weight)
+            })
+            .collect();
+        let mut total = direct.clone();
+        let mut indirect = vec![Vec3::ZERO; direct.len()];
+        for _ in 0..BOUNCES {
+            indirect = (0..direct.len())
+                .into_par_iter()
+                .map(|i| {
+                    passed[self.starts[i] as usize..self.starts[i + 1] as usize]
+                        .iter()
+                        .map(|&(from, share)| total[from as usize] * share)
+                        .sum()
+                })
+                .collect();
+            for ((t, d), i) in total.iter_mut().zip(&direct).zip(&indirect) {
+                *t = *d + *i;
+            }
+        }
+        self.spread(mesh, &indirect)
+    }
+
+    fn hits_of(&self, gather: usize) -> &[Hit] {
+        &self.hits[self.starts[gather] as usize..self.starts[gather + 1] as usize]
+    }
+
+    /// Interpolates values of the gather points at the lattice's places.
+    fn spread(&self, mesh: &Mesh, values: &[Vec3]) -> Indirect<'_> {
+        let irradiance = self
+            .lattice
+            .points(mesh)
+            .par_iter()
+            .zip(&self.own)
+            .map(|(place, &own)| {
+                let near = &self.near[self.near_starts[own as usize] as usize
+                    ..self.near_starts[own as usize + 1] as usize];
+                let (mut sum, mut weights) = (Vec3::ZERO, 0.0);
+                for &i in near {
+                    let point = &self.gather[i as usize];
+                    let away = point.position.distance_squared(place.position)
+                        / (2.0 * self.spacing).powi(2);
+                    let facing = point.normal.dot(place.normal).max(0.0);
+                    let weight = (1.0 - away).max(0.0).powi(2) * facing.powi(4);
+                    sum += values[i as usize] * weight;
+                    weights += weight;
+                }
+                if weights > 1e-6 {
+                    sum / weights
+                } else {
+                    values[own as usize]
+                }
+            })
+            .collect();
+        Indirect {
+            lattice: &self.lattice,
+            irradiance,
+        }
+    }
+}
+
+/// Casts the rays of one gather point, distributed by the cosine (Malley's method) along a golden spiral.
+fn cast(
+    mesh: &Mesh,
+    occluder: &Occluder,
+    brdf: Brdf,
+    scale: f32,
+    point: &ShadingPoint,
+    index: usize,
+) -> Vec<Hit> {
+    const GOLDEN_ANGLE: f32 = 2.399_963_2;
+    let origin = occluder.offset_origin(point.position, point.face_normal);
+    let (tangent, bitangent) = point.normal.any_orthonormal_pair();
+    // Every gather point turns the spiral, so that its gaps do not show as a pattern.
+    let turn = (index as f32 * 0.618_034).fract() * TAU;
+    (0..RAYS)
+        .filter_map(|ray| {
+            let radius = ((ray as f32 + 0.5) / RAYS as f32).sqrt();
+            let (sin, cos) = (turn + ray as f32 * GOLDEN_ANGLE).sin_cos();
+            let height = (1.0 - radius * radius).sqrt();
+            let direction =
+                (radius * (cos * tangent + sin * bitangent) + height * point.normal).normalize();
+            if direction.dot(point.face_normal) <= 0.0 {
+                return None;
+            }
+            let hit = occluder.hit(origin, direction)?;
+            let there = mesh.point(hit.triangle, hit.barycentric);
+            // The inside of an open surface sends nothing.
+            let facing = -mesh.face_normal(hit.triangle).dot(direction);
+            let cos_there = -there.normal.dot(direction);
+            (facing > 0.0 && cos_there > 0.0).then(|| Hit {
+                triangle: hit.triangle,
+                barycentric: hit.barycentric,
+                weight: scale * PI / RAYS as f32
+                    * brdf.diffuse_transmittance(height)
+                    * brdf.diffuse_transmittance(cos_there),
+            })
+        })
+        .collect()
+}
+
+/// Places on the surface: the mesh's vertices, and where triangles are large a triangular lattice inside each.
+struct Lattice {
+    /// Parts that each triangle's edges are cut into.
+    cuts: Vec<u16>,
+    /// First place of each cut triangle.
+    first: Vec<u32>,
+    /// Number of places.
+    places: usize,
+}
+
+impl Lattice {
+    fn new(mesh: &Mesh, spacing: f32) -> Self {
+        let mut places = mesh.positions.len();
+        let (mut cuts, mut first) = (Vec::new(), Vec::new());
+        for t in 0..mesh.triangles.len() as u32 {
+            let [a, b, c] = mesh.corners(t);
+            let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+            let cut = (longest / spacing).ceil().clamp(1.0, 256.0) as usize;
+            cuts.push(cut as u16);
+            first.push(places as u32);
+            if cut > 1 {
+                places = places.saturating_add((cut + 1) * (cut + 2) / 2);
+            }
+        }
+        Self {
+            cuts,
+            first,
+            places,
+        }
+    }
+
+    /// Number of the place at column `i` and row `j` of a triangle's lattice.
+    fn place(&self, mesh: &Mesh, triangle: u32, i: usize, j: usize) -> u32 {
+        let cut = usize::from(self.cuts[triangle as usize]);
+        if cut == 1 {
+            return mesh.triangles[triangle as usize][i + 2 * j];
+        }
+        // Rows have cut + 1, cut, … places.
+        let before = j * (cut + 1) - j * j.saturating_sub(1) / 2;
+        self.first[triangle as usize] + (before + i) as u32
+    }
+
+    /// The three places around a point with their weights.
+    fn corners(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> [(u32, f32); 3] {
+        let cut = usize::from(self.cuts[triangle as usize]);
+        let x = barycentric.x.clamp(0.0, 1.0);
+        let y = barycentric.y.clamp(0.0, 1.0 - x);
+        let (x, y) = (x * cut as f32, y * cut as f32);
+        let j = (y as usize).min(cut - 1);
+        let i = (x as usize).min(cut - 1 - j);
+        let (u, v) = ((x - i as f32).clamp(0.0, 1.0), (y - j as f32).clamp(0.0, 1.0));
+        let at = |i: usize, j: usize| self.place(mesh, triangle, i, j);
+        if u + v <= 1.0 || i + j + 2 > cut {
+            let sum = (u + v).max(1.0);
+            let (u, v) = (u / sum, v / sum);
+            [
+                (at(i, j), 1.0 - u - v),
+                (at(i + 1, j), u),
+                (at(i, j + 1), v),
+            ]
+        } else {
+            [
+                (at(i + 1, j + 1), u + v - 1.0),
+                (at(i, j + 1), 1.0 - u),
+                (at(i + 1, j), 1.0 - v),
+            ]
+        }
+    }
+
+    fn nearest(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> u32 {
+        let [a, b, c] = self.corners(mesh, triangle, barycentric);
+        let larger = |a: (u32, f32), b: (u32, f32)| if b.1 > a.1 { b } else { a };
+        larger(larger(a, b), c).0
+    }
+
+    /// The surface points of all places.
+    fn points(&self, mesh: &Mesh) -> Vec<ShadingPoint> {
+        let mut points: Vec<ShadingPoint> = mesh
+            .positions
+            .iter()
+            .zip(&mesh.normals)
+            .map(|(&position, &normal)| ShadingPoint {
+                position,
+                normal,
+                face_normal: normal,
+            })
+            .collect();
+        let inside: Vec<Vec<ShadingPoint>> = (0..mesh.triangles.len() as u32)
+            .into_par_iter()
+            .filter(|&t| self.cuts[t as usize] > 1)
+            .map(|t| {
+                let cut = usize::from(self.cuts[t as usize]);
+                (0..=cut)
+                    .flat_map(|j| (0..=cut - j).map(move |i| Vec2::new(i as f32, j as f32)))
+                    .map(|at| ShadingPoint::on(mesh, t, at / cut as f32))
+                    .collect()
+            })
+            .collect();
+        points.extend(inside.into_iter().flatten());
+        points
+    }
+}
+
+/// Places of the lattice grouped by cell and by the way they face.
+struct Clusters {
+    gather: Vec<ShadingPoint>,
+    own: Vec<u32>,
+    near_starts: Vec<u32>,
+    near: Vec<u32>,
+}
+
+impl Clusters {
+    fn new(places: &[ShadingPoint], spacing: f32) -> Self {
+        type Key = ([i32; 3], u8);
+        let key = |p: &ShadingPoint| -> Key {
+            let cell = (p.position / spacing).floor().as_ivec3();
+            (cell.to_array(), facing(p.normal))
+        };
+        let mut order: Vec<(Key, u32)> = places
+            .par_iter()
+            .enumerate()
+            .map(|(i, p)| (key(p), i as u32))
+            .collect();
+        order.par_sort_unstable();
+        let groups: Vec<&[(Key, u32)]> = order.chunk_by(|a, b| a.0 == b.0).collect();
+        let gather: Vec<ShadingPoint> = groups.par_iter().map(|g| middle(places, g)).collect();
+        let mut own = vec![0; places.len()];
+        for (i, group) in groups.iter().enumerate() {
+            for &(_, place) in *group {
+                own[place as usize] = i as u32;
+            }
+        }
+        let near: Vec<Vec<u32>> = groups
+            .par_iter()
+            .map(|group| {
+                let centre = IVec3::from(group[0].0.0);
+                let mut near = Vec::new();
+                for offset in (-1..=1).flat_map(|x| (-1..=1).map(move |y| (x, y))) {
+                    // Cells that differ in z alone stand side by side.
+                    let cell = |z: i32| {
+                        [centre.x + offset.0, centre.y + offset.1, centre.z + z]
+                    };
+                    let from = groups.partition_point(|g| g[0].0 < (cell(-1), 0));
+                    let upto = groups.partition_point(|g| g[0].0 <= (cell(1), u8::MAX));
+                    near.extend((from..upto).map(|i| i as u32));
+                }
+                near
+            })
+            .collect();
+        let mut near_starts = vec![0];
+        for list in &near {
+            near_starts.push(near_starts[near_starts.len() - 1] + list.len() as u32);
+        }
+        Self {
+            gather,
+            own,
+            near_starts,
+            near: near.concat(),
+        }
+    }
+}
+
+/// Which of six directions a normal is nearest to.
+fn facing(normal: Vec3) -> u8 {
+    let axis = normal.abs().max_position() as u8;
+    2 * axis + u8::from(normal[usize::from(axis)] < 0.0)
+}
+
+/// Of a group's places the one nearest to their mean.
+fn middle<K>(places: &[ShadingPoint], group: &[(K, u32)]) -> ShadingPoint {
+    let sum: Vec3 = group.iter().map(|g| places[g.1 as usize].position).sum();
+    let mean = sum / group.len() as f32;
+    let distance = |g: &(K, u32)| places[g.1 as usize].position.distance_squared(mean);
+    let nearest = group
+        .iter()
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        .unwrap_or(&group[0]);
+    places[nearest.1 as usize]
+}
