@@ -11,7 +11,7 @@ use super::interrupt;
 use super::progress::Progress;
 use super::{OutputArgs, print_json};
 use crate::capture::{Camera, read_cameras};
-use crate::relight::{self, Diffuse, Edit, Interreflection, Picture, Scene, Shader};
+use crate::relight::{self, Diffuse, Edit, Interreflection, Picture, Scene, Shader, Surroundings};
 use crate::solution::{Solution, Staging, write_rgb, write_rgba};
 use crate::surface::Occluder;
 
@@ -93,15 +93,19 @@ pub(super) fn shots(cameras: &Path) -> anyhow::Result<Vec<Shot>> {
 pub(super) struct Renderer<'a> {
     solution: &'a Solution,
     occluder: Occluder,
+    interreflection: Option<Interreflection>,
     /// Radiance that becomes white in tone-mapped pictures.
     white: f32,
 }
 
 impl<'a> Renderer<'a> {
     pub(super) fn new(solution: &'a Solution) -> Self {
+        let occluder = Occluder::new(&solution.mesh);
+        let interreflection = Interreflection::new(&solution.mesh, &occluder, solution.brdf);
         Self {
             solution,
-            occluder: Occluder::new(&solution.mesh),
+            occluder,
+            interreflection,
             white: white(solution),
         }
     }
@@ -118,22 +122,36 @@ impl<'a> Renderer<'a> {
         let solution = self.solution;
         let original = solution.lighting();
         let lighting = relight::apply(edits, &original)?;
+        let shader = Shader::new(&self.occluder, solution.brdf, &lighting);
+        let unchanged = lighting == original;
+        let (atlas, texture) = if unchanged {
+            (&solution.atlas, &solution.diffuse)
+        } else {
+            (&solution.atlas, &solution.albedo)
+        };
+        let relit = self
+            .interreflection
+            .as_ref()
+            .filter(|_| !unchanged)
+            .map(|i| i.of_light(&solution.mesh, &shader, atlas, texture));
         let scene = Scene {
             mesh: &solution.mesh,
             occluder: &self.occluder,
             brdf: solution.brdf,
+            surroundings: self
+                .interreflection
+                .as_ref()
+                .map(|interreflection| Surroundings {
+                    interreflection,
+                    atlas,
+                    texture,
+                    relit: relit.as_ref(),
+                }),
         };
-        let shader = Shader::new(&self.occluder, solution.brdf, &lighting);
-        let interreflection = (lighting != original)
-            .then(|| Interreflection::new(scene.mesh, scene.occluder, scene.brdf))
-            .flatten();
-        let indirect = interreflection.as_ref().map(|interreflection| {
-            interreflection.of_light(scene.mesh, &shader, &solution.atlas, &solution.albedo)
-        });
-        let diffuse = if lighting == original {
-            Diffuse::Stored(&solution.atlas, &solution.diffuse)
+        let diffuse = if unchanged {
+            Diffuse::Stored(atlas, texture)
         } else {
-            Diffuse::Relit(&solution.atlas, &solution.albedo, indirect.as_ref())
+            Diffuse::Relit(atlas, texture)
         };
         let mut files = Vec::new();
         for (i, shot) in shots.iter().enumerate() {

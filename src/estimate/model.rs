@@ -151,6 +151,17 @@ impl Brdf {
         }
     }
 
+    /// Part of the light from a direction at the cosine `cos_light` that facets seen at the cosine `cos_between` (of
+    /// l and h) pass on: F G₁ in absolute terms. Nothing where the paper's model leaves its scale open.
+    pub fn facet_reflectance(&self, cos_light: f32, cos_between: f32) -> f32 {
+        match self.model {
+            SpecularModel::Microfacet if cos_light > 0.0 => {
+                fresnel(cos_between) * masking(cos_light.max(1e-4), self.sigma).value
+            }
+            _ => 0.0,
+        }
+    }
+
     /// Angle α beyond which D(α) is below `cutoff` of its peak, in radians.
     pub fn half_angle_support(&self, cutoff: f32) -> f32 {
         let reach = self.sigma * (-2.0 * cutoff.ln()).max(0.0).sqrt();

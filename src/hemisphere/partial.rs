@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::grid::HemisphereGrid;
 use crate::capture::{Mesh, View};
-use crate::surface::{Atlas, DiffuseTexture, GRAZING, NO_TRIANGLE, ViewSurface, is_object};
+use crate::surface::{Atlas, GRAZING, MinimumTexture, NO_TRIANGLE, ViewSurface, is_object};
 
 /// Rounds in which a node without a value takes the mean of its neighbours': where the surface is strongly curved, mirror
 /// rays of adjacent pixels lie several nodes apart, and what lies between them was seen too.
@@ -59,7 +59,7 @@ impl SpecularImage {
     pub fn new(
         mesh: &Mesh,
         atlas: &Atlas,
-        texture: &DiffuseTexture,
+        texture: &MinimumTexture,
         view: &View,
         surface: &ViewSurface,
     ) -> Self {

@@ -46,8 +46,14 @@ pub fn separate(
     texture: &mut DiffuseTexture,
 ) -> Albedo {
     let mut irradiance = texel_irradiance(scene, atlas, shader);
-    if let Some(interreflection) = Interreflection::new(scene.mesh, scene.occluder, scene.brdf) {
-        add_interreflection(scene, atlas, &interreflection, texture, &mut irradiance);
+    if let Some(surroundings) = scene.surroundings {
+        add_interreflection(
+            scene,
+            atlas,
+            surroundings.interreflection,
+            texture,
+            &mut irradiance,
+        );
     }
     let typical = typical_irradiance(atlas, &irradiance);
     let texels = texture.radiance.len();
@@ -340,11 +346,7 @@ fn fill(
                     total += share;
                 }
             }
-            if total > 1e-6 {
-                sum / total
-            } else {
-                mean
-            }
+            if total > 1e-6 { sum / total } else { mean }
         })
         .collect()
 }

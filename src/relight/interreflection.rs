@@ -18,6 +18,7 @@ use std::f32::consts::{PI, TAU};
 use glam::{IVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
+use super::reflection::Lobe;
 use super::shading::{Shader, ShadingPoint, Visibility};
 use crate::capture::Mesh;
 use crate::estimate::Brdf;
@@ -35,16 +36,14 @@ const BOUNCES: usize = 6;
 /// How light passes from surface to surface: geometry and transmittances, whatever the light and the texture.
 pub struct Interreflection {
     lattice: Lattice,
-    gather: Vec<ShadingPoint>,
-    /// Gather point of each lattice place, the one of its own cell.
-    own: Vec<u32>,
-    /// Gather points that may lie near those of gather point `i`: `near[near_starts[i]..near_starts[i + 1]]`.
-    near_starts: Vec<u32>,
-    near: Vec<u32>,
+    clusters: Clusters,
     /// Rays of gather point `i` that met the surface: `hits[starts[i]..starts[i + 1]]`.
     starts: Vec<u32>,
     hits: Vec<Hit>,
+    /// Per gather point, whether a ray of it or of those near it met the surface.
+    sheltered: Vec<bool>,
     spacing: f32,
+    pub(super) lobe: Lobe,
 }
 
 /// A ray that met the surface.
@@ -56,14 +55,22 @@ struct Hit {
     weight: f32,
 }
 
-/// Interreflected irradiance everywhere on the surface.
-pub struct Indirect<'a> {
+/// Smooth irradiance everywhere on the surface.
+pub struct Field<'a> {
     lattice: &'a Lattice,
     /// One per place of the lattice.
     irradiance: Vec<Vec3>,
 }
 
-impl Indirect<'_> {
+/// The surface under new light.
+pub struct Relit<'a> {
+    /// Irradiance by interreflection.
+    pub indirect: Field<'a>,
+    /// All irradiance, direct light with the resolution of the gather points.
+    pub total: Field<'a>,
+}
+
+impl Field<'_> {
     /// K_S-scaled irradiance, RGB, transmittance inside, at a point of the mesh.
     pub fn at(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> Vec3 {
         self.lattice
@@ -99,15 +106,18 @@ impl Interreflection {
             hits.append(&mut row);
             starts.push(hits.len() as u32);
         }
+        let meets = |i: u32| starts[i as usize] < starts[i as usize + 1];
+        let sheltered = (0..clusters.gather.len())
+            .map(|i| clusters.near(i as u32).iter().any(|&n| meets(n)))
+            .collect();
         Some(Self {
             lattice,
-            gather: clusters.gather,
-            own: clusters.own,
-            near_starts: clusters.near_starts,
-            near: clusters.near,
+            clusters,
             starts,
             hits,
+            sheltered,
             spacing,
+            lobe: Lobe::new(brdf),
         })
     }
 
@@ -117,8 +127,8 @@ impl Interreflection {
         &self,
         mesh: &Mesh,
         radiance: &(dyn Fn(u32, Vec2) -> Vec3 + Sync),
-    ) -> Indirect<'_> {
-        let gathered: Vec<Vec3> = (0..self.gather.len())
+    ) -> Field<'_> {
+        let gathered: Vec<Vec3> = (0..self.clusters.gather.len())
             .into_par_iter()
             .map(|i| {
                 self.hits_of(i)
@@ -130,15 +140,16 @@ impl Interreflection {
         self.spread(mesh, &gathered)
     }
 
-    /// Interreflected irradiance under the light of `shader`, on a surface with this pseudo-albedo.
+    /// Irradiance under the light of `shader`, on a surface with this pseudo-albedo.
     pub fn of_light(
         &self,
         mesh: &Mesh,
         shader: &Shader,
         atlas: &Atlas,
         albedo: &[[f32; 3]],
-    ) -> Indirect<'_> {
+    ) -> Relit<'_> {
         let direct: Vec<Vec3> = self
+            .clusters
             .gather
             .par_iter()
             .map(|point| {
@@ -155,7 +166,7 @@ impl Interreflection {
             .map(|h| {
                 let place = self.lattice.nearest(mesh, h.triangle, h.barycentric);
                 let albedo = atlas.sample(albedo, h.triangle, h.barycentric);
-                (self.own[place as usize], albedo * h.weight)
+                (self.clusters.own[place as usize], albedo * h.weight)
             })
             .collect();
         let mut total = direct.clone();
@@ -174,7 +185,16 @@ impl Interreflection {
                 *t = *d + *i;
             }
         }
-        self.spread(mesh, &indirect)
+        Relit {
+            indirect: self.spread(mesh, &indirect),
+            total: self.spread(mesh, &total),
+        }
+    }
+
+    /// Whether any surface can be seen from near a point of the mesh.
+    pub(super) fn is_sheltered(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> bool {
+        let place = self.lattice.nearest(mesh, triangle, barycentric);
+        self.sheltered[self.clusters.own[place as usize] as usize]
     }
 
     fn hits_of(&self, gather: usize) -> &[Hit] {
@@ -182,18 +202,16 @@ impl Interreflection {
     }
 
     /// Interpolates values of the gather points at the lattice's places.
-    fn spread(&self, mesh: &Mesh, values: &[Vec3]) -> Indirect<'_> {
+    fn spread(&self, mesh: &Mesh, values: &[Vec3]) -> Field<'_> {
         let irradiance = self
             .lattice
             .points(mesh)
             .par_iter()
-            .zip(&self.own)
+            .zip(&self.clusters.own)
             .map(|(place, &own)| {
-                let near = &self.near[self.near_starts[own as usize] as usize
-                    ..self.near_starts[own as usize + 1] as usize];
                 let (mut sum, mut weights) = (Vec3::ZERO, 0.0);
-                for &i in near {
-                    let point = &self.gather[i as usize];
+                for &i in self.clusters.near(own) {
+                    let point = &self.clusters.gather[i as usize];
                     let away = point.position.distance_squared(place.position)
                         / (2.0 * self.spacing).powi(2);
                     let facing = point.normal.dot(place.normal).max(0.0);
@@ -208,7 +226,7 @@ impl Interreflection {
                 }
             })
             .collect();
-        Indirect {
+        Field {
             lattice: &self.lattice,
             irradiance,
         }
@@ -305,7 +323,10 @@ impl Lattice {
         let (x, y) = (x * cut as f32, y * cut as f32);
         let j = (y as usize).min(cut - 1);
         let i = (x as usize).min(cut - 1 - j);
-        let (u, v) = ((x - i as f32).clamp(0.0, 1.0), (y - j as f32).clamp(0.0, 1.0));
+        let (u, v) = (
+            (x - i as f32).clamp(0.0, 1.0),
+            (y - j as f32).clamp(0.0, 1.0),
+        );
         let at = |i: usize, j: usize| self.place(mesh, triangle, i, j);
         if u + v <= 1.0 || i + j + 2 > cut {
             let sum = (u + v).max(1.0);
@@ -360,8 +381,11 @@ impl Lattice {
 
 /// Places of the lattice grouped by cell and by the way they face.
 struct Clusters {
+    /// One point of each group, where light is gathered.
     gather: Vec<ShadingPoint>,
+    /// Group of each place.
     own: Vec<u32>,
+    /// Groups of the cells around group `i`, itself included: `near[near_starts[i]..near_starts[i + 1]]`.
     near_starts: Vec<u32>,
     near: Vec<u32>,
 }
@@ -394,9 +418,7 @@ impl Clusters {
                 let mut near = Vec::new();
                 for offset in (-1..=1).flat_map(|x| (-1..=1).map(move |y| (x, y))) {
                     // Cells that differ in z alone stand side by side.
-                    let cell = |z: i32| {
-                        [centre.x + offset.0, centre.y + offset.1, centre.z + z]
-                    };
+                    let cell = |z: i32| [centre.x + offset.0, centre.y + offset.1, centre.z + z];
                     let from = groups.partition_point(|g| g[0].0 < (cell(-1), 0));
                     let upto = groups.partition_point(|g| g[0].0 <= (cell(1), u8::MAX));
                     near.extend((from..upto).map(|i| i as u32));
@@ -414,6 +436,13 @@ impl Clusters {
             near_starts,
             near: near.concat(),
         }
+    }
+}
+
+impl Clusters {
+    fn near(&self, group: u32) -> &[u32] {
+        let i = group as usize;
+        &self.near[self.near_starts[i] as usize..self.near_starts[i + 1] as usize]
     }
 }
 

@@ -7,9 +7,9 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::interreflection::Indirect;
+use super::reflection::Surroundings;
 use super::samples::{Sample, Samples, bands};
-use super::shading::{Shade, Shader, ShadingPoint, Visibility};
+use super::shading::{Shade, Shader, ShadingPoint, Visibility, corners, is_coarse};
 use crate::capture::{Camera, Mesh};
 use crate::estimate::Brdf;
 use crate::surface::{Atlas, Occluder};
@@ -34,6 +34,8 @@ pub struct Scene<'a> {
     pub occluder: &'a Occluder,
     /// The surface's reflection, `None` without a specular part.
     pub brdf: Option<Brdf>,
+    /// The surface as it lights itself, `None` to leave that out.
+    pub surroundings: Option<Surroundings<'a>>,
 }
 
 /// Where a picture's diffuse part comes from.
@@ -43,8 +45,8 @@ pub enum Diffuse<'a> {
     Absent,
     /// The stored diffuse texture: the light is as it was.
     Stored(&'a Atlas, &'a [[f32; 3]]),
-    /// Pseudo-albedo × irradiance (eq. 18), the interreflected part of it given.
-    Relit(&'a Atlas, &'a [[f32; 3]], Option<&'a Indirect<'a>>),
+    /// Pseudo-albedo × irradiance (eq. 18).
+    Relit(&'a Atlas, &'a [[f32; 3]]),
 }
 
 /// A rendered picture, row by row from the top; linear radiance, premultiplied by coverage.
@@ -63,8 +65,11 @@ pub struct Picture {
 }
 
 /// A pixel's sub-samples on one smooth piece of surface.
+#[derive(Clone, Copy)]
 struct Piece {
     point: ShadingPoint,
+    /// One of its samples.
+    sample: Sample,
     /// One bit per sub-sample, in the order of the pixel's samples.
     members: u64,
 }
@@ -199,6 +204,7 @@ impl Tile<'_> {
         let visibility =
             self.shader
                 .visibility(&mains, self.size[0], distance * self.footprint, &wanted);
+        let mirrored = self.mirrored(&pieces, &mains, distance * self.footprint);
         (0..count)
             .map(|index| {
                 let samples = self.samples_of(index);
@@ -207,7 +213,7 @@ impl Tile<'_> {
                 }
                 let main = &visibility[index * groups..(index + 1) * groups];
                 let edge = self.has_shadow_edge(&mains, &visibility, index, &wanted);
-                let shades: Vec<(Shade, Piece)> = if edge {
+                let mut shades: Vec<(Shade, Piece)> = if edge {
                     self.quarters(&pieces[index], samples)
                         .into_iter()
                         .map(|piece| (self.shade_alone(&piece.point, relit), piece))
@@ -223,14 +229,106 @@ impl Tile<'_> {
                             } else {
                                 self.shade_with_neighbours(&piece.point, relit, main)
                             };
-                            let piece = Piece { ..*piece };
-                            (shade, piece)
+                            (shade, *piece)
                         })
                         .collect()
                 };
+                if let (Some(main), Some(mirrored)) = (&mains[index], mirrored.get(index)) {
+                    for (shade, piece) in &mut shades {
+                        shade.specular += self.reflected(piece, main, *mirrored);
+                    }
+                }
                 self.resolve(samples, &shades, diffuse)
             })
             .collect()
+    }
+
+    /// For every pixel's main piece, the radiance of other parts of the surface that its lobe meets. Cast for
+    /// every fourth pixel in each direction and interpolated where the surface between them is smooth.
+    fn mirrored(
+        &self,
+        pieces: &[Vec<Piece>],
+        mains: &[Option<ShadingPoint>],
+        spacing: f32,
+    ) -> Vec<Vec3> {
+        let Some(surroundings) = self.scene.surroundings else {
+            return Vec::new();
+        };
+        let [width, height] = self.size;
+        let cast = |index: usize| {
+            let piece = pieces[index].first()?;
+            let Sample {
+                triangle,
+                barycentric,
+                ..
+            } = piece.sample;
+            let sheltered = surroundings.is_sheltered(self.scene.mesh, triangle, barycentric);
+            Some(if sheltered {
+                self.cast_mirrored(&piece.point)
+            } else {
+                Vec3::ZERO
+            })
+        };
+        let mut all = vec![Vec3::ZERO; mains.len()];
+        for index in
+            (0..mains.len()).filter(|&i| is_coarse([i % width, i / width], [width, height]))
+        {
+            all[index] = cast(index).unwrap_or_default();
+        }
+        for index in
+            (0..mains.len()).filter(|&i| !is_coarse([i % width, i / width], [width, height]))
+        {
+            let corners = corners(
+                mains,
+                [width, height],
+                [index % width, index / width],
+                spacing,
+                self.same_mirror_cos(),
+            );
+            all[index] = if corners.len() == 4 {
+                corners
+                    .iter()
+                    .map(|&(corner, share)| all[corner] * share)
+                    .sum()
+            } else {
+                cast(index).unwrap_or_default()
+            };
+        }
+        all
+    }
+
+    fn cast_mirrored(&self, point: &ShadingPoint) -> Vec3 {
+        self.scene.surroundings.map_or(Vec3::ZERO, |s| {
+            s.mirrored(
+                self.scene.mesh,
+                self.scene.occluder,
+                point,
+                self.view(point),
+            )
+        })
+    }
+
+    /// Specular reflection of other parts of the surface by a piece, from what its pixel's main piece mirrors.
+    fn reflected(&self, piece: &Piece, main: &ShadingPoint, mirrored: Vec3) -> Vec3 {
+        let Some(surroundings) = self.scene.surroundings else {
+            return Vec3::ZERO;
+        };
+        let thickness = self.footprint * main.position.distance(self.eye);
+        let alike = piece.point.normal.dot(main.normal) > self.same_mirror_cos()
+            && piece.point.position.distance(main.position) < 4.0 * thickness;
+        let mirrored = if alike {
+            mirrored
+        } else {
+            self.cast_mirrored(&piece.point)
+        };
+        let cos_view = piece.point.normal.dot(self.view(&piece.point));
+        mirrored * surroundings.reflectance(cos_view)
+    }
+
+    /// Cosine of the largest angle between normals that mirror much the same: the mirrored direction turns by twice that
+    /// angle, and the lobe is some 2σ wide.
+    fn same_mirror_cos(&self) -> f32 {
+        self.scene.brdf.map_or(1.0, |b| b.sigma.min(0.3).cos())
     }
 
     /// Adds up a pixel's sub-samples.
@@ -245,8 +343,8 @@ impl Tile<'_> {
             let (atlas, texture, light, indirect) = match diffuse {
                 Diffuse::Absent => continue,
                 Diffuse::Stored(atlas, texture) => (atlas, texture, Vec3::ONE, None),
-                Diffuse::Relit(atlas, albedo, indirect) => {
-                    (atlas, albedo, shade.irradiance, indirect)
+                Diffuse::Relit(atlas, albedo) => {
+                    (atlas, albedo, shade.irradiance, self.scene.surroundings)
                 }
             };
             let cos_view = piece.point.normal.dot(self.view(&piece.point));
@@ -258,7 +356,7 @@ impl Tile<'_> {
             for (i, sample) in samples.iter().enumerate() {
                 if piece.members >> i & 1 == 1 {
                     let around = indirect.map_or(Vec3::ZERO, |indirect| {
-                        indirect.at(self.scene.mesh, sample.triangle, sample.barycentric)
+                        indirect.irradiance(self.scene.mesh, sample.triangle, sample.barycentric)
                     });
                     sum += atlas.sample(texture, sample.triangle, sample.barycentric)
                         * (light + around);
@@ -294,6 +392,7 @@ impl Tile<'_> {
             if ends.iter().all(|n| n.dot(point.normal) > self.piece_cos()) {
                 return vec![Piece {
                     point,
+                    sample: mean,
                     members: bits(samples.len()),
                 }];
             }
@@ -328,6 +427,7 @@ impl Tile<'_> {
                     normal: normal.normalize_or(centre.normal),
                     ..centre
                 },
+                sample: samples[seed],
                 members,
             });
         }
@@ -367,12 +467,16 @@ impl Tile<'_> {
                 let middle = sum / members.count_ones() as f32;
                 let nearest = (0..samples.len())
                     .filter(|i| members >> i & 1 == 1)
-                    .map(|i| self.point(&samples[i]))
-                    .min_by(|a, b| {
+                    .map(|i| (self.point(&samples[i]), samples[i]))
+                    .min_by(|(a, _), (b, _)| {
                         let d = |p: &ShadingPoint| p.position.distance_squared(middle);
                         d(a).total_cmp(&d(b))
                     });
-                cut.extend(nearest.map(|point| Piece { point, members }));
+                cut.extend(nearest.map(|(point, sample)| Piece {
+                    point,
+                    sample,
+                    members,
+                }));
             }
         }
         cut

@@ -386,13 +386,10 @@ impl<'a> Shader<'a> {
         let height = points.len() / width.max(1);
         let count = self.groups.len();
         let mut all = vec![Visibility::Below; points.len() * count];
-        let is_coarse = |x: usize, y: usize| {
-            (x.is_multiple_of(STRIDE) || x + 1 == width)
-                && (y.is_multiple_of(STRIDE) || y + 1 == height)
-        };
+        let size = [width, height];
         let mut needed = vec![false; count];
         for y in (0..height).filter(|y| y.is_multiple_of(STRIDE) || y + 1 == height) {
-            for x in (0..width).filter(|&x| is_coarse(x, y)) {
+            for x in (0..width).filter(|&x| is_coarse([x, y], size)) {
                 let Some(point) = &points[y * width + x] else {
                     continue;
                 };
@@ -413,12 +410,12 @@ impl<'a> Shader<'a> {
             }
         }
         for y in 0..height {
-            for x in (0..width).filter(|&x| !is_coarse(x, y)) {
+            for x in (0..width).filter(|&x| !is_coarse([x, y], size)) {
                 let index = y * width + x;
                 let Some(point) = &points[index] else {
                     continue;
                 };
-                let corners = corners(points, width, height, [x, y], spacing);
+                let corners = corners(points, size, [x, y], spacing, SAME_SURFACE_COS);
                 for g in (0..count).filter(|&g| wanted(index, g)) {
                     let shared = self.shared(&corners, &all, g, point);
                     all[index * count + g] = shared.unwrap_or_else(|| self.cast(point, g));
@@ -561,13 +558,19 @@ fn mean_transmittance(brdf: Brdf) -> f32 {
         / STEPS as f32
 }
 
-/// The corners of a point's cell that lie on the same surface, with bilinear weights.
-fn corners(
+/// Whether a grid's point at `[x, y]` is one of those that others are interpolated from.
+pub(super) fn is_coarse([x, y]: [usize; 2], [width, height]: [usize; 2]) -> bool {
+    (x.is_multiple_of(STRIDE) || x + 1 == width) && (y.is_multiple_of(STRIDE) || y + 1 == height)
+}
+
+/// The corners of a point's cell that lie on the same surface, normals at most at the cosine `min_cos`, with bilinear
+/// weights.
+pub(super) fn corners(
     points: &[Option<ShadingPoint>],
-    width: usize,
-    height: usize,
+    [width, height]: [usize; 2],
     [x, y]: [usize; 2],
     spacing: f32,
+    min_cos: f32,
 ) -> Vec<(usize, f32)> {
     let Some(point) = &points[y * width + x] else {
         return Vec::new();
@@ -588,7 +591,7 @@ fn corners(
         for (cx, wx) in ends(x, width) {
             let index = cy * width + cx;
             if let Some(corner) = &points[index]
-                && corner.normal.dot(point.normal) > SAME_SURFACE_COS
+                && corner.normal.dot(point.normal) > min_cos
                 && corner.position.distance_squared(point.position) < reach * reach
             {
                 found.push((index, wx * wy));

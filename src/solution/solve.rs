@@ -14,8 +14,12 @@ use crate::hemisphere::{
     HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
     seen_from_above,
 };
-use crate::relight::{Scene, Shader, ViewFit, reconstruct, separate};
-use crate::surface::{Atlas, Occluder, ViewSurface, minimum_texture, wanted_density};
+use crate::relight::{
+    Interreflection, Scene, Shader, Surroundings, ViewFit, reconstruct, separate,
+};
+use crate::surface::{
+    Atlas, MinimumTexture, Occluder, ViewSurface, minimum_texture, wanted_density,
+};
 
 /// Texels per pixel, along each side, where a view shows the surface largest.
 const TEXELS_PER_PIXEL: f32 = 1.0;
@@ -101,7 +105,7 @@ pub fn solve(
     let grid = hemisphere(capture, options);
     clock.lap("surface");
 
-    let pictures = hemispheres(capture, &surfaces, &atlas, &grid, observer)?;
+    let (pictures, minimum) = hemispheres(capture, &surfaces, &atlas, &grid, observer)?;
     clock.lap("hemispheres");
 
     report(observer, ESTIMATE)?;
@@ -118,10 +122,20 @@ pub fn solve(
     report(observer, TEXTURE)?;
     let lamps = name_lamps(&grid, &found);
     let light = lighting(&grid, &found.radiance, &lamps, Vec3::ZERO);
+    let interreflection = Interreflection::new(mesh, &occluder, found.brdf);
+    // What the surface mirrors of itself is small: the first guess at its texture will do.
     let scene = Scene {
         mesh,
         occluder: &occluder,
         brdf: found.brdf,
+        surroundings: interreflection
+            .as_ref()
+            .map(|interreflection| Surroundings {
+                interreflection,
+                atlas: &atlas,
+                texture: &minimum.radiance,
+                relit: None,
+            }),
     };
     let shader = Shader::new(&occluder, found.brdf, &light);
     let mut texture = reconstruct(&scene, &capture.views, &atlas, &shader);
@@ -184,7 +198,7 @@ fn hemispheres(
     atlas: &Atlas,
     grid: &HemisphereGrid,
     observer: &mut dyn Observer,
-) -> Result<Vec<HemispherePicture>, Stopped> {
+) -> Result<(Vec<HemispherePicture>, MinimumTexture), Stopped> {
     report(observer, HEMISPHERES)?;
     let minimum = minimum_texture(&capture.mesh, atlas, &capture.views, surfaces);
     let mut partials: Vec<PartialHemisphere> = Vec::with_capacity(surfaces.len());
@@ -203,7 +217,11 @@ fn hemispheres(
     for (i, partial) in partials.iter().enumerate() {
         pictures.push(picture(format!("partial_{i:03}"), &partial.radiance));
     }
-    Ok(pictures)
+<<<<<<< HEAD
+    Ok((pictures, minimum))
+=======
+    (pictures, minimum)
+>>>>>>> cb712f1 (Mirror the surface in itself: at grazing views that is most of what is seen besides the light)
 }
 
 fn name_lamps(grid: &HemisphereGrid, found: &Estimate) -> Vec<SolutionLamp> {

@@ -9,7 +9,7 @@ mod visible;
 pub use atlas::{Atlas, LARGEST_SIDE, Texel};
 pub use bvh::{Hit, Occluder};
 pub use texture::{
-    DiffuseTexture, FULL_COVERAGE, GRAZING, Observation, is_object, minimum_texture, observations,
+    FULL_COVERAGE, GRAZING, MinimumTexture, Observation, is_object, minimum_texture, observations,
     observe, wanted_density,
 };
 pub use visible::{NO_TRIANGLE, ViewSurface, barycentric_at, front_most};

@@ -31,7 +31,7 @@ pub struct Observation {
 
 /// The diffuse radiance of the surface under the capture's light.
 #[derive(Clone, Debug)]
-pub struct DiffuseTexture {
+pub struct MinimumTexture {
     /// Diffuse radiance, RGB, one per texel of the atlas.
     pub radiance: Vec<[f32; 3]>,
     /// Σ cos θᵣ over the views that see the texel, one per texel: 0 where none does, and around 1 or less where one view
@@ -155,7 +155,7 @@ pub fn minimum_texture(
     atlas: &Atlas,
     views: &[View],
     surfaces: &[ViewSurface],
-) -> DiffuseTexture {
+) -> MinimumTexture {
     let texels: Vec<(Vec3, f32)> = atlas
         .texels
         .par_iter()
@@ -164,7 +164,7 @@ pub fn minimum_texture(
             least(observations(views, surfaces, &point))
         })
         .collect();
-    let mut texture = DiffuseTexture {
+    let mut texture = MinimumTexture {
         radiance: vec![[0.0; 3]; atlas.len()],
         confidence: vec![0.0; atlas.len()],
     };
@@ -196,7 +196,7 @@ fn least(observations: impl Iterator<Item = Observation>) -> (Vec3, f32) {
     )
 }
 
-impl DiffuseTexture {
+impl MinimumTexture {
     /// The texture as `view` sees it, one radiance per pixel, zero off the object. `None` for a pixel where it is unknown.
     pub fn render(
         &self,
