@@ -30,8 +30,12 @@ const SPACING: f32 = 1.0 / 90.0;
 const MAX_PLACES: usize = 3_000_000;
 /// Rays of each gather point.
 const RAYS: usize = 96;
-/// Rounds of interreflection of new light. A round leaves at most albedo × hidden part of the sky of what is missing.
-const BOUNCES: usize = 6;
+/// Rounds of interreflection of new light at most …
+const MAX_BOUNCES: usize = 64;
+/// … and the part of the brightest irradiance below which a further round is not worth its while.
+const SETTLED: f32 = 1e-4;
+/// No surface sends more than this part of what it receives: where a badly known albedo says so, it is held down.
+const MAX_ALBEDO: f32 = 0.95;
 
 /// How light passes from surface to surface: geometry and transmittances, whatever the light and the texture.
 pub struct Interreflection {
@@ -169,22 +173,11 @@ impl Interreflection {
                 (self.clusters.own[place as usize], albedo * h.weight)
             })
             .collect();
-        let mut total = direct.clone();
-        let mut indirect = vec![Vec3::ZERO; direct.len()];
-        for _ in 0..BOUNCES {
-            indirect = (0..direct.len())
-                .into_par_iter()
-                .map(|i| {
-                    passed[self.starts[i] as usize..self.starts[i + 1] as usize]
-                        .iter()
-                        .map(|&(from, share)| total[from as usize] * share)
-                        .sum()
-                })
-                .collect();
-            for ((t, d), i) in total.iter_mut().zip(&direct).zip(&indirect) {
-                *t = *d + *i;
-            }
-        }
+        let rows: Vec<&[(u32, Vec3)]> = (0..direct.len())
+            .map(|i| &passed[self.starts[i] as usize..self.starts[i + 1] as usize])
+            .collect();
+        let indirect = bounce(&direct, &rows);
+        let total: Vec<Vec3> = direct.iter().zip(&indirect).map(|(&d, &i)| d + i).collect();
         Relit {
             indirect: self.spread(mesh, &indirect),
             total: self.spread(mesh, &total),
@@ -233,6 +226,42 @@ impl Interreflection {
     }
 }
 
+/// Solves indirect = rows × (direct + indirect) by Jacobi iteration; a row lists the points that light comes from with
+/// the part of their irradiance that arrives.
+fn bounce(direct: &[Vec3], rows: &[&[(u32, Vec3)]]) -> Vec<Vec3> {
+    let gains: Vec<f32> = rows
+        .iter()
+        .map(|row| {
+            let sum: Vec3 = row.iter().map(|&(_, share)| share).sum();
+            (MAX_ALBEDO / sum.max_element().max(MAX_ALBEDO)).min(1.0)
+        })
+        .collect();
+    let brightest = direct.iter().fold(0.0_f32, |m, d| m.max(d.max_element()));
+    let mut indirect = vec![Vec3::ZERO; direct.len()];
+    for _ in 0..MAX_BOUNCES {
+        let next: Vec<Vec3> = rows
+            .par_iter()
+            .zip(&gains)
+            .map(|(row, &gain)| {
+                let sum: Vec3 = row
+                    .iter()
+                    .map(|&(from, share)| share * (direct[from as usize] + indirect[from as usize]))
+                    .sum();
+                sum * gain
+            })
+            .collect();
+        let change = next
+            .iter()
+            .zip(&indirect)
+            .fold(0.0_f32, |m, (a, b)| m.max((*a - *b).abs().max_element()));
+        indirect = next;
+        if change <= SETTLED * brightest {
+            break;
+        }
+    }
+    indirect
+}
+
 /// Casts the rays of one gather point, distributed by the cosine (Malley's method) along a golden spiral.
 fn cast(
     mesh: &Mesh,
@@ -252,8 +281,7 @@ fn cast(
             let radius = ((ray as f32 + 0.5) / RAYS as f32).sqrt();
             let (sin, cos) = (turn + ray as f32 * GOLDEN_ANGLE).sin_cos();
             let height = (1.0 - radius * radius).sqrt();
-            let direction =
-                (radius * (cos * tangent + sin * bitangent) + height * point.normal).normalize();
+            let direction = radius * (cos * tangent + sin * bitangent) + height * point.normal;
             if direction.dot(point.face_normal) <= 0.0 {
                 return None;
             }
@@ -462,4 +490,130 @@ fn middle<K>(places: &[ShadingPoint], group: &[(K, u32)]) -> ShadingPoint {
         .min_by(|a, b| distance(a).total_cmp(&distance(b)))
         .unwrap_or(&group[0]);
     places[nearest.1 as usize]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::SpecularModel;
+    use crate::surface::fixtures::bumpy_sphere;
+
+    const PLASTIC: Brdf = Brdf {
+        model: SpecularModel::Microfacet,
+        sigma: 0.1,
+    };
+
+    /// The unit sphere seen from inside: every point sees the whole sphere.
+    fn cavity() -> Mesh {
+        let mut mesh = bumpy_sphere(48, 0.0);
+        for triangle in &mut mesh.triangles {
+            triangle.swap(1, 2);
+        }
+        for normal in &mut mesh.normals {
+            *normal = -*normal;
+        }
+        mesh
+    }
+
+    /// In a sphere cos θ is the same at both ends of every chord: scale · 2π ∫ T(c)² c dc of unit radiance.
+    fn irradiance_in_cavity() -> f32 {
+        let steps = 20_000;
+        let integral: f32 = (0..steps)
+            .map(|i| {
+                let c = (i as f32 + 0.5) / steps as f32;
+                PLASTIC.diffuse_transmittance(c).powi(2) * c / steps as f32
+            })
+            .sum();
+        PLASTIC.specular_scale().unwrap() * TAU * integral
+    }
+
+    #[test]
+    fn a_glowing_cavity_lights_itself_as_the_integral_says() {
+        let mesh = cavity();
+        let occluder = Occluder::new(&mesh);
+        let light = Interreflection::new(&mesh, &occluder, Some(PLASTIC)).unwrap();
+        let field = light.of_radiance(&mesh, &|_, _| Vec3::new(1.0, 0.5, 0.0));
+        let expected = irradiance_in_cavity();
+        for triangle in (0..mesh.triangles.len() as u32).step_by(97) {
+            let found = field.at(&mesh, triangle, Vec2::new(0.2, 0.3));
+            assert!(
+                (found.x / expected - 1.0).abs() < 0.02 && (found.y / expected - 0.5).abs() < 0.01,
+                "{found} at triangle {triangle}, expected {expected}"
+            );
+            assert_eq!(found.z, 0.0);
+        }
+    }
+
+    #[test]
+    fn bounces_add_up_to_the_geometric_series() {
+        // Two points that each get half of what the other has, and one that sees nothing.
+        let half = Vec3::splat(0.5);
+        let rows: [&[(u32, Vec3)]; 3] = [&[(1, half)], &[(0, half)], &[]];
+        let found = bounce(&[Vec3::ONE, Vec3::ZERO, Vec3::ONE], &rows);
+        // i₀ = (i₁)/2, i₁ = (1 + i₀)/2.
+        let expected = [1.0 / 3.0, 2.0 / 3.0, 0.0];
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found.x - expected).abs() < 1e-3, "{found}, not {expected}");
+        }
+    }
+
+    #[test]
+    fn impossible_albedos_do_not_run_away() {
+        let rows: [&[(u32, Vec3)]; 2] = [&[(1, Vec3::splat(7.0))], &[(0, Vec3::splat(3.0))]];
+        let found = bounce(&[Vec3::ONE, Vec3::ONE], &rows);
+        assert!(
+            found.iter().all(|f| f.x.is_finite() && f.x < 25.0),
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn a_sphere_does_not_light_itself() {
+        let mesh = bumpy_sphere(24, 0.0);
+        let occluder = Occluder::new(&mesh);
+        let light = Interreflection::new(&mesh, &occluder, Some(PLASTIC)).unwrap();
+        let field = light.of_radiance(&mesh, &|_, _| Vec3::ONE);
+        let inside = Vec2::splat(0.3);
+        for triangle in 0..mesh.triangles.len() as u32 {
+            assert_eq!(field.at(&mesh, triangle, inside), Vec3::ZERO);
+            assert!(!light.is_sheltered(&mesh, triangle, inside));
+        }
+    }
+
+    #[test]
+    fn the_papers_model_leaves_interreflection_open() {
+        let mesh = cavity();
+        let brdf = Brdf {
+            model: SpecularModel::Paper,
+            ..PLASTIC
+        };
+        let occluder = Occluder::new(&mesh);
+        assert!(Interreflection::new(&mesh, &occluder, Some(brdf)).is_none());
+        assert!(Interreflection::new(&mesh, &occluder, None).is_none());
+    }
+
+    #[test]
+    fn a_lattice_reproduces_what_is_linear() {
+        let mesh = bumpy_sphere(6, 0.0);
+        let lattice = Lattice::new(&mesh, 0.11);
+        let places = lattice.points(&mesh);
+        assert_eq!(places.len(), lattice.places);
+        for triangle in 0..mesh.triangles.len() as u32 {
+            for i in 0..=9 {
+                for j in 0..=9 - i {
+                    let at = Vec2::new(i as f32, j as f32) / 9.0;
+                    let sum: Vec3 = lattice
+                        .corners(&mesh, triangle, at)
+                        .into_iter()
+                        .map(|(place, share)| {
+                            assert!((-1e-5..=1.0 + 1e-5).contains(&share));
+                            places[place as usize].position * share
+                        })
+                        .sum();
+                    let expected = mesh.point(triangle, at).position;
+                    assert!(sum.distance(expected) < 1e-5, "{sum}, not {expected}");
+                }
+            }
+        }
+    }
 }

@@ -158,3 +158,49 @@ impl Surroundings<'_> {
         self.interreflection.lobe.reflectance(cos)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::SpecularModel;
+
+    /// Fresnel's equations for an index of 1.5, written out for both polarisations.
+    fn fresnel(cos: f64) -> f64 {
+        let sin_inside = (1.0 - cos * cos).sqrt() / 1.5;
+        let cos_inside = (1.0 - sin_inside * sin_inside).sqrt();
+        let across = (cos - 1.5 * cos_inside) / (cos + 1.5 * cos_inside);
+        let along = (1.5 * cos - cos_inside) / (1.5 * cos + cos_inside);
+        0.5 * (across * across + along * along)
+    }
+
+    #[test]
+    fn a_smooth_lobe_reflects_as_fresnel_says() {
+        let lobe = Lobe::new(Brdf {
+            model: SpecularModel::Microfacet,
+            sigma: 0.005,
+        });
+        for cos in [1.0, 0.8, 0.5, 0.3, 0.15] {
+            let found = f64::from(lobe.reflectance(cos));
+            let expected = fresnel(f64::from(cos));
+            // The table is linear between cosines 1/63 apart, where the curve bends.
+            assert!(
+                (found / expected - 1.0).abs() < 0.03,
+                "{found} at {cos}, not {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_rough_lobe_never_reflects_more_than_it_gets() {
+        for sigma in [0.02, 0.1, 0.3, 0.5] {
+            let lobe = Lobe::new(Brdf {
+                model: SpecularModel::Microfacet,
+                sigma,
+            });
+            for i in 0..=100 {
+                let r = lobe.reflectance(i as f32 / 100.0);
+                assert!((0.0..=1.0).contains(&r), "{r} at roughness {sigma}");
+            }
+        }
+    }
+}
