@@ -8,7 +8,7 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// The path given does not exist.
-    #[error("{path}: no such folder; give the folder of a capture or its transforms.json")]
+    #[error("{path}: no such file or folder; give the folder of a capture or its transforms.json")]
     NoSuchFolder {
         /// The path as it was given.
         path: PathBuf,
@@ -56,7 +56,7 @@ pub enum CaptureError {
         advice: String,
     },
     /// An image or mask that the manifest names does not exist.
-    #[error("{path}: no such image ({field} names it); put it there or remove its frame")]
+    #[error("{path}: no such image ({field} names it); put it there or correct the name")]
     ImageMissing {
         /// The file.
         path: PathBuf,

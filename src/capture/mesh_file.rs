@@ -127,7 +127,7 @@ pub(super) fn finish(path: &Path, raw: RawMesh) -> Result<(Mesh, Vec<String>), C
         return Err(CaptureError::MeshEmpty {
             path: path.to_owned(),
             problem: if stated == 0 {
-                format!("{} vertices but no faces", mesh.positions.len())
+                format!("it has {} vertices but no faces", mesh.positions.len())
             } else {
                 format!("all of its {stated} triangles have zero area")
             },

@@ -53,7 +53,7 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<RawMesh, CaptureError> 
     if raw.triangles.is_empty() {
         return Err(CaptureError::MeshEmpty {
             path: path.to_owned(),
-            problem: format!("{} vertices but no faces", plain.totals[0]),
+            problem: format!("it has {} vertices but no faces", plain.totals[0]),
         });
     }
     Ok(raw)

@@ -976,7 +976,7 @@ fn cameras_read_without_images() {
 fn missing_folders_and_manifests_are_named() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let message = |path: &Path| Capture::load(path).expect_err("bad").to_string();
-    assert!(message(&folder.path().join("nowhere")).contains("nowhere: no such folder"));
+    assert!(message(&folder.path().join("nowhere")).contains("nowhere: no such file or folder"));
     assert!(message(folder.path()).contains("no transforms.json"));
     fs::create_dir(folder.path().join("sparse")).expect("folder");
     assert!(message(folder.path()).contains("COLMAP"));

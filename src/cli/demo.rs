@@ -71,12 +71,7 @@ pub(super) fn run(output: OutputArgs) -> anyhow::Result<()> {
     let load_s = started.elapsed().as_secs_f64();
     let solution = solve_capture(&capture, load_s, &EstimationArgs::default(), &mut progress)?;
     solution.save(&staging.path().join("solution"))?;
-    let pictures = take_pictures(
-        &solution,
-        &capture.views[0].camera,
-        staging.path(),
-        &mut progress,
-    )?;
+    let pictures = take_pictures(&solution, &capture.views[0].camera, &staging, &mut progress)?;
     staging.replace().with_context(|| cannot_write(folder))?;
     progress.finish();
     if output.json {
@@ -112,7 +107,7 @@ fn unpack(folder: &Path) -> std::io::Result<()> {
 fn take_pictures(
     solution: &Solution,
     camera: &Camera,
-    folder: &Path,
+    staging: &Staging,
     progress: &mut Progress,
 ) -> anyhow::Result<Vec<(String, String)>> {
     let mut wishes = vec![(
@@ -148,16 +143,16 @@ fn take_pictures(
             }],
         ));
     }
-    let pictures = folder.join("pictures");
-    fs::create_dir(&pictures).with_context(|| cannot_write(folder))?;
+    fs::create_dir(staging.path().join("pictures"))
+        .with_context(|| cannot_write(staging.target()))?;
     let renderer = Renderer::new(solution);
     let mut made = Vec::new();
     for (stem, what, edits) in wishes {
         let shot = Shot {
-            stem: stem.clone(),
+            stem: format!("pictures/{stem}"),
             camera: camera.clone(),
         };
-        renderer.shoot(&[shot], &edits, false, &pictures, progress)?;
+        renderer.shoot(&[shot], &edits, false, staging, progress)?;
         made.push((format!("pictures/{stem}.png"), what));
     }
     Ok(made)

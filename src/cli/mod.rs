@@ -73,10 +73,22 @@ pub fn run() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if error.is::<Interrupted>() => ExitCode::from(INTERRUPTED),
         Err(error) => {
-            eprintln!("rekindle: {error:#}");
+            eprintln!("rekindle: {}", message(&error));
             ExitCode::from(BAD_INPUT)
         }
     }
+}
+
+/// What went wrong and why, in one line. Causes that a message has taken up are not repeated.
+fn message(error: &anyhow::Error) -> String {
+    let mut message = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if !message.contains(&cause) {
+            let between = if message.is_empty() { "" } else { ": " };
+            message = message + between + &cause;
+        }
+    }
+    message.replace('\n', " ")
 }
 
 fn execute(cli: &Cli) -> anyhow::Result<()> {

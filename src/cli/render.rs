@@ -43,6 +43,7 @@ pub(super) struct Shot {
 }
 
 pub(super) fn run(args: &RenderArgs, output: OutputArgs) -> anyhow::Result<()> {
+    check_output(&args.output)?;
     let mut progress = Progress::new(output);
     progress.stage("reading the solution", 0.0);
     let solution = Solution::load(&args.solution)?;
@@ -53,13 +54,23 @@ pub(super) fn run(args: &RenderArgs, output: OutputArgs) -> anyhow::Result<()> {
     };
     let renderer = Renderer::new(&solution);
     let staging = Staging::beside(&args.output).with_context(|| cannot_write(&args.output))?;
-    let files = renderer.shoot(&shots, &edits, args.layers, staging.path(), &mut progress)?;
+    let files = renderer.shoot(&shots, &edits, args.layers, &staging, &mut progress)?;
     staging.add().with_context(|| cannot_write(&args.output))?;
     progress.finish();
     if output.json {
         let pictures: Vec<_> = files.iter().map(|f| args.output.join(f)).collect();
         print_json(&serde_json::json!({ "pictures": pictures }));
     }
+    Ok(())
+}
+
+/// Fails where no pictures can be written, so that this is known before any work is done.
+fn check_output(folder: &Path) -> anyhow::Result<()> {
+    if folder.exists() && !folder.is_dir() {
+        bail!("{}: is not a folder; choose another", folder.display());
+    }
+    let staging = Staging::beside(folder).with_context(|| cannot_write(folder))?;
+    drop(staging);
     Ok(())
 }
 
@@ -110,13 +121,13 @@ impl<'a> Renderer<'a> {
         }
     }
 
-    /// Renders all shots into a folder. Returns the files' names.
+    /// Renders all shots into the folder of a staging. Returns the files' names.
     pub(super) fn shoot(
         &self,
         shots: &[Shot],
         edits: &[Edit],
         layers: bool,
-        folder: &Path,
+        staging: &Staging,
         progress: &mut Progress,
     ) -> anyhow::Result<Vec<String>> {
         let solution = self.solution;
@@ -161,8 +172,8 @@ impl<'a> Renderer<'a> {
                 i as f32 / shots.len() as f32,
             );
             let picture = relight::render(&scene, &shot.camera, &shader, diffuse);
-            self.write(&picture, &shot.stem, layers, folder, &mut files)
-                .with_context(|| cannot_write(folder))?;
+            self.write(&picture, &shot.stem, layers, staging.path(), &mut files)
+                .with_context(|| cannot_write(staging.target()))?;
         }
         Ok(files)
     }

@@ -38,7 +38,7 @@ pub(super) struct EstimationArgs {
     #[arg(long, default_value_t = 70, value_parser = clap::value_parser!(u32).range(1..=200))]
     frequency: u32,
     /// Distance of the lights from the object's centre, in mesh units (default: what the capture states, or distant)
-    #[arg(long, value_parser = positive)]
+    #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     radius: Option<f32>,
 }
 

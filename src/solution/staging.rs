@@ -39,6 +39,12 @@ struct Folders {
 
 impl Folders {
     fn make(path: PathBuf, parent: &Path) -> io::Result<Self> {
+        if let Some(there) = parent.ancestors().find(|p| p.exists())
+            && !there.is_dir()
+        {
+            let problem = format!("{} is not a folder", there.display());
+            return Err(io::Error::new(io::ErrorKind::NotADirectory, problem));
+        }
         let missing = parent.ancestors().take_while(|p| !p.exists());
         let folders = Self {
             path,
@@ -96,6 +102,11 @@ impl Staging {
     /// The folder to write into.
     pub fn path(&self) -> &Path {
         &self.folders.path
+    }
+
+    /// The folder that it becomes.
+    pub fn target(&self) -> &Path {
+        &self.target
     }
 
     /// Puts the folder in the place of the target, which is removed if it exists.

@@ -1,0 +1,268 @@
+//! Every bad input ends in exit status 2 with one message that names what is wrong, and nothing is written.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::{Value, json};
+
+/// A capture that may be spoilt, in a folder of its own.
+struct Bench {
+    folder: tempfile::TempDir,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let bench = Self {
+            folder: tempfile::tempdir().unwrap(),
+        };
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures/spot_paper");
+        fs::create_dir_all(bench.path("capture/images")).unwrap();
+        let images = (0..6).map(|i| format!("images/view_{i:03}.exr"));
+        for name in images.chain(["mesh.obj", "transforms.json"].map(str::to_owned)) {
+            fs::copy(source.join(&name), bench.path("capture").join(&name)).unwrap();
+        }
+        bench
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn write(&self, name: &str, content: impl AsRef<[u8]>) {
+        fs::write(self.path(name), content).unwrap();
+    }
+
+    fn change_manifest(&self, change: impl Fn(&mut Value)) {
+        let path = self.path("capture/transforms.json");
+        let mut manifest: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+        change(&mut manifest);
+        fs::write(path, manifest.to_string()).unwrap();
+    }
+
+    fn change_mesh(&self, change: impl Fn(&str) -> String) {
+        let path = self.path("capture/mesh.obj");
+        let text = fs::read_to_string(&path).unwrap();
+        fs::write(path, change(&text)).unwrap();
+    }
+
+    /// Replaces a picture by one of a single colour.
+    fn fill_picture(&self, name: &str, value: f32) {
+        exr::prelude::write_rgb_file(self.path(name), 320, 240, |_, _| (value, value, value))
+            .unwrap();
+    }
+
+    /// A solution, quickly solved.
+    fn solve(&self) {
+        let run = self.run(&["solve", "capture", "-o", "solution", "--frequency", "20"]);
+        assert!(run.status.success());
+    }
+
+    fn run(&self, arguments: &[&str]) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_rekindle"))
+            .args(arguments)
+            .arg("--quiet")
+            .current_dir(self.folder.path())
+            .output()
+            .unwrap()
+    }
+
+    fn names(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.folder.path()).unwrap();
+        let mut names: Vec<String> = entries
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    /// Checks that a command is refused with one line that has all `parts`, and leaves no trace.
+    fn refuses(&self, arguments: &[&str], parts: &[&str]) {
+        let before = self.names();
+        let run = self.run(arguments);
+        check_refusal(&run, parts);
+        assert_eq!(self.names(), before, "nothing may be written");
+    }
+
+    fn refuses_solve(&self, parts: &[&str]) {
+        self.refuses(&["solve", "capture", "-o", "made/solution"], parts);
+    }
+
+    fn refuses_edits(&self, edits: &str, parts: &[&str]) {
+        self.write("edits.json", edits);
+        let cameras = "capture/transforms.json";
+        let arguments = ["render", "solution", "--cameras", cameras, "-o", "pictures"];
+        let arguments = [&arguments[..], &["--edits", "edits.json"]].concat();
+        self.refuses(&arguments, parts);
+    }
+}
+
+fn check_refusal(run: &Output, parts: &[&str]) {
+    let message = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(2), "{message}");
+    assert_eq!(message.trim().lines().count(), 1, "{message}");
+    assert!(run.stdout.is_empty(), "stdout is for results");
+    for part in parts {
+        assert!(message.contains(part), "{message} lacks {part}");
+    }
+}
+
+#[test]
+fn manifests() {
+    let bench = Bench::new();
+    bench.refuses(&["solve", "no/such", "-o", "out"], &["no/such: no such"]);
+    bench.write("capture/transforms.json", "{\n  \"frames\": [}\n");
+    bench.refuses_solve(&["transforms.json: line 2, column 14"]);
+
+    let bench = Bench::new();
+    bench.change_manifest(|m| {
+        m["frames"][2]
+            .as_object_mut()
+            .unwrap()
+            .remove("transform_matrix");
+    });
+    bench.refuses_solve(&["transforms.json: frames[2].transform_matrix is missing"]);
+    bench.change_manifest(|m| {
+        m["frames"][2]["transform_matrix"] =
+            json!([[1, 0, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]);
+    });
+    bench.refuses_solve(&["frames[2].transform_matrix is singular"]);
+    let path = bench.path("capture/transforms.json");
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replacen("[1,0,0,0]", "[NaN,0,0,0]", 1)).unwrap();
+    bench.refuses_solve(&["frames[2].transform_matrix is NaN or not finite in row 1, column 1"]);
+}
+
+#[test]
+fn images() {
+    const PICTURE: &str = "capture/images/view_003.exr";
+    let bench = Bench::new();
+    let whole = fs::read(bench.path(PICTURE)).unwrap();
+    fs::remove_file(bench.path(PICTURE)).unwrap();
+    bench.refuses_solve(&["view_003.exr: no such image", "frames[3].file_path"]);
+    bench.write(PICTURE, &whole[..whole.len() / 2]);
+    bench.refuses_solve(&["view_003.exr: the image cannot be decoded"]);
+    bench.fill_picture(PICTURE, 0.0);
+    bench.refuses_solve(&["view_003.exr", "black"]);
+    bench.fill_picture(PICTURE, f32::NAN);
+    bench.refuses_solve(&["view_003.exr", "not finite"]);
+    let gray = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/capture/luminance.exr");
+    fs::copy(gray, bench.path(PICTURE)).unwrap();
+    bench.refuses_solve(&["view_003.exr", "no R, G and B"]);
+    bench.write(PICTURE, &whole);
+    bench.change_manifest(|m| m["w"] = json!(321));
+    bench.refuses_solve(&["is 320×240 pixels", "transforms.json says 321×240"]);
+}
+
+#[test]
+fn meshes() {
+    let bench = Bench::new();
+    let path = bench.path("capture/mesh.obj");
+    let whole = fs::read_to_string(&path).unwrap();
+    fs::remove_file(&path).unwrap();
+    bench.refuses_solve(&["mesh.obj: no such mesh", "mesh_path"]);
+    bench.write("capture/mesh.obj", "");
+    bench.refuses_solve(&["mesh.obj: the mesh is empty"]);
+    fs::write(&path, &whole).unwrap();
+    bench.change_mesh(|text| text.to_owned() + "f 1 2 99999\n");
+    let last = format!("line {}", whole.lines().count() + 1);
+    bench.refuses_solve(&["mesh.obj", &last, "index 99999 is out of range"]);
+    fs::write(&path, &whole).unwrap();
+    bench.change_mesh(|text| text.replacen("\nv ", "\nv nan ", 1));
+    bench.refuses_solve(&["mesh.obj: line 3: the vertex is NaN"]);
+    fs::write(&path, &whole).unwrap();
+    // Each vertex far to the side.
+    bench.change_mesh(|text| text.replace("\nv ", "\nv 1e4 "));
+    bench.refuses_solve(&["mesh.obj: no camera sees the mesh"]);
+}
+
+#[test]
+fn solutions_and_edits() {
+    let bench = Bench::new();
+    bench.solve();
+    bench.refuses_edits(
+        r#"[{"mute": {"near": [0, 1, 0]}}, {"blur": {}}]"#,
+        &["edits.json: edit 1", "\"blur\"", "mute, solo, gain, move"],
+    );
+    bench.refuses_edits("[{\"mute\"\n: }]", &["edits.json", "line 2 column 3"]);
+    bench.refuses_edits(r#"[{"mute": {"far": [0, 1, 0]}}]"#, &["`far`", "`near`"]);
+    bench.refuses_edits(
+        r#"[{"environment": {"file": "no.hdr"}}]"#,
+        &["edits.json: edit 0", "no.hdr: no such image"],
+    );
+    let cameras = "capture/transforms.json";
+    let render = |solution| ["render", solution, "--cameras", cameras, "-o", "pictures"];
+    bench.refuses(&render("capture"), &["capture: no solution here"]);
+    let missing = [
+        "render",
+        "solution",
+        "--cameras",
+        "no.json",
+        "-o",
+        "pictures",
+    ];
+    bench.refuses(&missing, &["no.json: no such file"]);
+
+    let path = bench.path("solution/solution.json");
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replace("\"version\": 1", "\"version\": 2")).unwrap();
+    bench.refuses(&render("solution"), &["newer rekindle (version 2"]);
+    fs::write(&path, &text[..text.len() / 2]).unwrap();
+    bench.refuses(
+        &render("solution"),
+        &["solution.json: not a valid solution"],
+    );
+    bench.refuses(
+        &["info", "solution"],
+        &["solution.json: not a valid solution"],
+    );
+}
+
+#[test]
+fn destinations() {
+    let bench = Bench::new();
+    bench.solve();
+    bench.write("thesis.tex", "x");
+    let solve = |output| ["solve", "capture", "-o", output];
+    bench.refuses(&solve("thesis.tex"), &["thesis.tex: can't be written"]);
+    bench.refuses(&solve("thesis.tex/a/b"), &["thesis.tex is not a folder"]);
+    bench.refuses(
+        &solve("capture"),
+        &["capture: exists and is not a solution"],
+    );
+    let cameras = "capture/transforms.json";
+    let render = |output| ["render", "solution", "--cameras", cameras, "-o", output];
+    bench.refuses(&render("thesis.tex"), &["thesis.tex: is not a folder"]);
+    bench.refuses(&render("thesis.tex/a"), &["thesis.tex/a: can't be written"]);
+}
+
+/// A limit on the size of files fails like a full disk: in the middle of writing.
+#[cfg(unix)]
+#[test]
+fn a_full_disk() {
+    let bench = Bench::new();
+    bench.solve();
+    let before = bench.names();
+    let limited = |arguments: &[&str]| {
+        Command::new("sh")
+            .args(["-c", "trap '' XFSZ; ulimit -f 100; exec \"$@\"", "sh"])
+            .arg(env!("CARGO_BIN_EXE_rekindle"))
+            .args(arguments)
+            .arg("--quiet")
+            .current_dir(bench.folder.path())
+            .output()
+            .unwrap()
+    };
+    let run = limited(&["solve", "capture", "-o", "made/new", "--frequency", "20"]);
+    check_refusal(&run, &["made/new: can't be written", "space"]);
+    let cameras = "capture/transforms.json";
+    let run = limited(&["render", "solution", "--cameras", cameras, "-o", "made"]);
+    check_refusal(&run, &["made: can't be written", "space"]);
+    // An earlier solution stays as it was.
+    let run = limited(&["solve", "capture", "-o", "solution", "--frequency", "20"]);
+    check_refusal(&run, &["solution: can't be written", "space"]);
+    assert_eq!(bench.names(), before, "nothing may be left");
+    assert!(bench.run(&["info", "solution"]).status.success());
+}
