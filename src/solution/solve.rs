@@ -217,11 +217,7 @@ fn hemispheres(
     for (i, partial) in partials.iter().enumerate() {
         pictures.push(picture(format!("partial_{i:03}"), &partial.radiance));
     }
-<<<<<<< HEAD
     Ok((pictures, minimum))
-=======
-    (pictures, minimum)
->>>>>>> cb712f1 (Mirror the surface in itself: at grazing views that is most of what is seen besides the light)
 }
 
 fn name_lamps(grid: &HemisphereGrid, found: &Estimate) -> Vec<SolutionLamp> {
