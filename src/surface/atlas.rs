@@ -4,7 +4,8 @@
 //! every triangle (2.1) becomes a texture: with legs of n and m cells, the lattice point (i, j) lies at the barycentric
 //! weights (i/n, j/m) and is the centre of a texel. Two such right triangles, one turned by half a turn, share a rectangle of
 //! (n + ⌈n/m⌉ + 3) × (m + 2) texels, and the rectangles are packed into shelves by height. Beyond the long side lie gutter
-//! texels, so that a bilinear look-up anywhere in a triangle reads texels of that triangle only.
+//! texels, so that a bilinear look-up anywhere in a triangle reads texels of that triangle only. A triangle no larger than
+//! the texels wanted is a single one: a scan of millions of triangles needs no more.
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -65,9 +66,9 @@ pub(super) struct Patch {
 /// The lattice's size and how it lies on the triangle.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cells {
-    /// Cells along the longer leg.
+    /// Cells along the longer leg; none where one texel stands for the triangle.
     n: u32,
-    /// Cells along the shorter leg.
+    /// Cells along the shorter leg; none where one texel stands for the triangle.
     m: u32,
     /// The corner at (0, 0), then the end of the longer leg, then the other.
     corners: [u8; 3],
@@ -78,6 +79,9 @@ impl Cells {
     fn new(corners: [Vec3; 3], density: f32) -> Self {
         let side = |i: usize| corners[(i + 1) % 3].distance(corners[(i + 2) % 3]);
         let origin = (0..3).fold(0, |best, i| if side(i) > side(best) { i } else { best });
+        if side(origin) * density <= 1.0 {
+            return Self::default();
+        }
         let (mut b, mut c) = ((origin + 1) % 3, (origin + 2) % 3);
         if corners[origin].distance(corners[b]) < corners[origin].distance(corners[c]) {
             std::mem::swap(&mut b, &mut c);
@@ -94,22 +98,39 @@ impl Cells {
         }
     }
 
+    fn is_single(self) -> bool {
+        self.m == 0
+    }
+
     /// Last column with a texel in row `j` (0 ≤ j ≤ m): the cells of the row before reach as far as the triangle does there.
     fn reach(self, j: u32) -> u32 {
+        if self.is_single() {
+            return 0;
+        }
         (self.n * (self.m + 1 - j.max(1))).div_ceil(self.m)
     }
 
     /// Last column inside the triangle in row `j`.
     fn inside(self, j: u32) -> u32 {
+        if self.is_single() {
+            return 0;
+        }
         self.n * (self.m - j) / self.m
     }
 
+    /// Size of the rectangle that two such triangles share.
     fn rectangle(self) -> (u32, u32) {
+        if self.is_single() {
+            return (2, 1);
+        }
         (self.n + self.n.div_ceil(self.m) + 3, self.m + 2)
     }
 
     /// Weights of the triangle's second and third corner at a lattice point, moved to the long side if beyond.
     fn barycentric(self, i: u32, j: u32) -> Vec2 {
+        if self.is_single() {
+            return Vec2::splat(1.0 / 3.0);
+        }
         let (mut a, mut b) = (i as f32 / self.n as f32, j as f32 / self.m as f32);
         let beyond = (a + b - 1.0).max(0.0) * 0.5;
         a = (a - beyond).clamp(0.0, 1.0);
@@ -133,6 +154,9 @@ impl Patch {
 
     fn corner_uvs(self) -> [Vec2; 3] {
         let mut uvs = [Vec2::ZERO; 3];
+        if self.cells.is_single() {
+            return [Vec2::new(self.x as f32 + 0.5, self.y as f32 + 0.5); 3];
+        }
         let ends = [(0, 0), (self.cells.n, 0), (0, self.cells.m)];
         for (corner, (i, j)) in self.cells.corners.into_iter().zip(ends) {
             let (x, y) = self.texel(i, j);
@@ -229,14 +253,14 @@ impl Atlas {
                     0.5 * f64::from(w) * f64::from(h)
                 })
                 .sum();
-            let smallest = cells.iter().all(|c| c.n == 1);
+            let smallest = cells.iter().all(|c| c.is_single());
             if let Some(packed) = pack(&cells)
                 && (total <= MOST_TEXELS || smallest)
             {
                 break packed;
             }
             if smallest {
-                // Past eleven million triangles not even the coarsest lattice fits: one texel stands for them all.
+                // Past sixty million triangles not even one texel for each fits: one stands for them all.
                 warnings.push(format!(
                     "the mesh has {} triangles, too many for a texture: the object gets a single colour; decimate it",
                     mesh.triangles.len()
@@ -449,7 +473,11 @@ mod tests {
         }
         atlas.extend(&mut texture);
         let mut worst = 0.0_f32;
-        for t in 0..mesh.triangles.len() as u32 {
+        let single = |t: u32| {
+            let patch = atlas.patches.get(t as usize);
+            patch.is_some_and(|patch| patch.cells.is_single())
+        };
+        for t in (0..mesh.triangles.len() as u32).filter(|&t| !single(t)) {
             for barycentric in points(40) {
                 let expected = linear(mesh.point(t, barycentric).position);
                 let error = (atlas.sample(&texture, t, barycentric) - expected)
@@ -513,6 +541,11 @@ mod tests {
             for t in 0..mesh.triangles.len() {
                 let space = mesh.corners(t as u32);
                 let uv = atlas.corner_uvs[t];
+                if atlas.patches[t].cells.is_single() {
+                    let longest = (0..3).map(|i| space[i].distance(space[(i + 1) % 3]));
+                    assert!(longest.fold(0.0, f32::max) * wanted <= 1.0, "triangle {t}");
+                    continue;
+                }
                 for (i, j) in [(0, 1), (1, 2), (2, 0)] {
                     let texels = uv[i].distance(uv[j]);
                     let length = space[i].distance(space[j]);
@@ -526,6 +559,20 @@ mod tests {
                     );
                 }
             }
+        }
+    }
+
+    #[test]
+    fn triangles_smaller_than_texels_take_one_each() {
+        let mesh = bumpy_sphere(100, 0.1);
+        let count = mesh.triangles.len();
+        let atlas = Atlas::lattice(&mesh, &vec![5.0; count]);
+        assert_eq!(atlas.texels.len(), count);
+        assert!(atlas.len() < count * 11 / 10, "{} texels", atlas.len());
+        let texture: Vec<[f32; 3]> = (0..atlas.len()).map(|i| [i as f32; 3]).collect();
+        for texel in &atlas.texels {
+            let value = atlas.sample(&texture, texel.triangle, Vec2::new(0.9, 0.05));
+            assert_eq!(value.x, texel.index as f32);
         }
     }
 
