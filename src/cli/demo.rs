@@ -82,7 +82,7 @@ pub(super) fn run(output: OutputArgs) -> anyhow::Result<()> {
         }));
     } else if !output.quiet {
         print_line(&format!(
-            "Solved {FOLDER}/capture into {FOLDER}/solution. {}",
+            "Solved {FOLDER}/capture into {FOLDER}/solution: {}",
             describe(&solution)
         ));
         for (file, what) in &pictures {

@@ -1,5 +1,6 @@
 //! `rekindle info SOLUTION`: what is in a solution.
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use super::{OutputArgs, print_json, print_line};
@@ -9,64 +10,68 @@ pub(super) fn run(path: &Path, output: OutputArgs) -> anyhow::Result<()> {
     let solution = Solution::load(path)?;
     if output.json {
         print_json(&solution.summary());
-        return Ok(());
-    }
-    print_line(&format!(
-        "solution of {}, method {}",
-        solution.name,
-        format!("{:?}", solution.method).to_lowercase()
-    ));
-    match (solution.brdf, solution.sigma_interval95) {
-        (Some(brdf), Some([low, high])) => print_line(&format!(
-            "roughness σ {:.5} (95 % between {low:.5} and {high:.5}), {:?} model: {}",
-            brdf.sigma, brdf.model, solution.chosen_because
-        )),
-        (Some(brdf), None) => print_line(&format!(
-            "roughness σ {:.5}, {:?} model: {}",
-            brdf.sigma, brdf.model, solution.chosen_because
-        )),
-        (None, _) => print_line("no specular part was found: roughness and lights are unknown"),
-    }
-    print_line(&format!("{} lights", solution.lamps.len()));
-    for lamp in &solution.lamps {
-        let (d, f) = (lamp.direction, lamp.flux);
-        print_line(&format!(
-            "  {}: direction [{:.5}, {:.5}, {:.5}], flux [{:.4}, {:.4}, {:.4}], angular radius {:.2}°, {} nodes",
-            lamp.name,
-            d.x,
-            d.y,
-            d.z,
-            f.x,
-            f.y,
-            f.z,
-            lamp.angular_radius.to_degrees(),
-            lamp.nodes.len()
-        ));
-    }
-    let ambient = solution.ambient;
-    print_line(&format!(
-        "ambient radiance [{:.5}, {:.5}, {:.5}]",
-        ambient.x, ambient.y, ambient.z
-    ));
-    print_line(&format!(
-        "{} triangles, textures of {}×{} texels, {:.1} % of them seen",
-        solution.mesh.triangles.len(),
-        solution.atlas.width,
-        solution.atlas.height,
-        100.0 * solution.seen()
-    ));
-    let views: Vec<String> = solution
-        .fit
-        .psnr_db_per_view
-        .iter()
-        .map(|db| format!("{db:.1}"))
-        .collect();
-    print_line(&format!(
-        "input views reproduced at {} dB",
-        views.join(", ")
-    ));
-    for warning in &solution.diagnostics.warnings {
-        print_line(&format!("warning: {warning}"));
+    } else {
+        print_line(text(&solution).trim_end());
     }
     Ok(())
+}
+
+/// What the solution holds, as aligned lines.
+fn text(solution: &Solution) -> String {
+    let mut out = String::new();
+    // Writing to a string cannot fail.
+    let mut line = |label: &str, text: String| {
+        let _ = writeln!(out, "{label:<10}{text}");
+    };
+    let method = format!("{:?}", solution.method).to_lowercase();
+    line("solution", format!("{}, method {method}", solution.name));
+    if let Some(brdf) = solution.brdf {
+        let interval = solution
+            .sigma_interval95
+            .map(|[low, high]| format!(", 95 % between {low:.5} and {high:.5}"))
+            .unwrap_or_default();
+        line("roughness", format!("σ {:.5}{interval}", brdf.sigma));
+        let model = format!("{:?}", brdf.model).to_lowercase();
+        line("specular", format!("{model}: {}", solution.chosen_because));
+    } else {
+        let none = "no specular part was found: roughness and lights are unknown";
+        line("roughness", none.to_owned());
+    }
+    for lamp in &solution.lamps {
+        let (d, f) = (lamp.direction, lamp.flux);
+        let radius = lamp.angular_radius.to_degrees();
+        line(
+            "light",
+            format!(
+                "{}: direction [{:.5}, {:.5}, {:.5}], flux [{:.4}, {:.4}, {:.4}], angular radius {radius:.2}°, {} nodes",
+                lamp.name,
+                d.x,
+                d.y,
+                d.z,
+                f.x,
+                f.y,
+                f.z,
+                lamp.nodes.len()
+            ),
+        );
+    }
+    let a = solution.ambient;
+    line("ambient", format!("[{:.5}, {:.5}, {:.5}]", a.x, a.y, a.z));
+    line(
+        "mesh",
+        format!("{} triangles", solution.mesh.triangles.len()),
+    );
+    let (atlas, seen) = (&solution.atlas, 100.0 * solution.seen());
+    let size = format!("{}×{} texels", atlas.width, atlas.height);
+    line(
+        "textures",
+        format!("{size}, {seen:.1} % of the surface seen"),
+    );
+    let views = solution.fit.psnr_db_per_view.iter();
+    let views: Vec<String> = views.map(|db| format!("{db:.1}")).collect();
+    line("views", format!("reproduced at {} dB", views.join(", ")));
+    for warning in &solution.diagnostics.warnings {
+        line("warning", warning.clone());
+    }
+    out
 }

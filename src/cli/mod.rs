@@ -9,7 +9,7 @@ mod progress;
 mod render;
 mod solve;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
@@ -33,6 +33,7 @@ struct Cli {
 
 /// What all commands have in common.
 #[derive(Args, Clone, Copy, Debug)]
+#[command(next_help_heading = "General options")]
 struct OutputArgs {
     /// No progress and no warnings
     #[arg(long, global = true)]
@@ -103,10 +104,23 @@ fn execute(cli: &Cli) -> anyhow::Result<()> {
         None => demo::run(cli.output),
         Some(Command::Solve(args)) => solve::run(args, cli.output),
         Some(Command::Render(args)) => render::run(args, cli.output),
-        Some(Command::Info { path }) if path.join("solution.json").is_file() => {
-            info_solution::run(path, cli.output)
+        Some(Command::Info { path }) => {
+            let folder = solution_folder(path);
+            if folder.join("solution.json").is_file() {
+                info_solution::run(folder, cli.output)
+            } else {
+                info::run(path, cli.output.json)
+            }
         }
-        Some(Command::Info { path }) => info::run(path, cli.output.json),
+    }
+}
+
+/// The folder of a solution that may be named by its `solution.json`.
+fn solution_folder(path: &Path) -> &Path {
+    let by_file = path.file_name().is_some_and(|name| name == "solution.json");
+    match path.parent() {
+        Some(folder) if by_file && path.is_file() => folder,
+        _ => path,
     }
 }
 

@@ -9,7 +9,7 @@ use glam::Vec3;
 
 use super::interrupt;
 use super::progress::Progress;
-use super::{OutputArgs, print_json};
+use super::{OutputArgs, print_json, print_line, solution_folder};
 use crate::capture::{Camera, read_cameras};
 use crate::relight::{self, Diffuse, Edit, Interreflection, Picture, Scene, Shader, Surroundings};
 use crate::solution::{Solution, Staging, write_rgb, write_rgba};
@@ -46,7 +46,7 @@ pub(super) fn run(args: &RenderArgs, output: OutputArgs) -> anyhow::Result<()> {
     check_output(&args.output)?;
     let mut progress = Progress::new(output);
     progress.stage("reading the solution", 0.0);
-    let solution = Solution::load(&args.solution)?;
+    let solution = Solution::load(solution_folder(&args.solution))?;
     let shots = shots(&args.cameras)?;
     let edits = match &args.edits {
         Some(path) => relight::load(path)?,
@@ -60,6 +60,13 @@ pub(super) fn run(args: &RenderArgs, output: OutputArgs) -> anyhow::Result<()> {
     if output.json {
         let pictures: Vec<_> = files.iter().map(|f| args.output.join(f)).collect();
         print_json(&serde_json::json!({ "pictures": pictures }));
+    } else if !output.quiet {
+        let plural = if shots.len() == 1 { "" } else { "s" };
+        print_line(&format!(
+            "{}: {} view{plural}, EXR and PNG",
+            args.output.display(),
+            shots.len()
+        ));
     }
     Ok(())
 }

@@ -149,7 +149,8 @@ pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
         }
         print_json(&summary);
     } else if !output.quiet {
-        print_line(&describe(&solution));
+        let output = args.output.display();
+        print_line(&format!("{output}: {}", describe(&solution)));
     }
     Ok(())
 }
@@ -173,15 +174,13 @@ pub(super) fn solve_capture(
 pub(super) fn describe(solution: &Solution) -> String {
     match solution.brdf {
         Some(brdf) => format!(
-            "{}: roughness σ {:.4}, {} light{}",
-            solution.name,
+            "roughness σ {:.4}, {} light{}",
             brdf.sigma,
             solution.lamps.len(),
             if solution.lamps.len() == 1 { "" } else { "s" }
         ),
-        None => format!(
-            "{}: no specular part was found; the solution holds the diffuse texture only",
-            solution.name
-        ),
+        None => {
+            "no specular part was found; the solution holds the diffuse texture only".to_owned()
+        }
     }
 }

@@ -116,7 +116,9 @@ impl Solution {
 
     /// What `solution.json` says.
     pub fn summary(&self) -> serde_json::Value {
-        serde_json::to_value(self.manifest()).unwrap_or_default()
+        // By way of text, in which a float has no more digits than it needs.
+        let text = serde_json::to_string(&self.manifest()).unwrap_or_default();
+        serde_json::from_str(&text).unwrap_or_default()
     }
 
     /// Part of the textures that views have seen.
