@@ -2,6 +2,8 @@
 
 pub mod capture;
 pub mod cli;
+#[cfg(test)]
+mod damage;
 pub mod estimate;
 pub mod hemisphere;
 pub mod math;

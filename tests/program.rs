@@ -159,6 +159,51 @@ fn recovers_lamps_at_finite_distance() {
     solve_and_check("spot_near", folder.path());
 }
 
+/// Everything in a solution's folder but how long things took.
+fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let files = entries.map(|entry| entry.unwrap().path());
+    let mut contents: Vec<_> = files
+        .filter(|path| path.is_file() && !path.ends_with("solution.json"))
+        .map(|path| {
+            let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+            (name, std::fs::read(&path).unwrap())
+        })
+        .collect();
+    contents.sort();
+    contents
+}
+
+#[test]
+fn the_number_of_threads_does_not_change_a_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = capture("spot_plastic");
+    let solve = |threads: &str| {
+        let solution = folder.path().join(threads);
+        let run = rekindle(&[
+            "solve",
+            source.to_str().unwrap(),
+            "-o",
+            solution.to_str().unwrap(),
+            "--frequency",
+            "20",
+            "--threads",
+            threads,
+        ]);
+        assert!(run.status.success());
+        let found = read_json(&solution.join("solution.json"));
+        let numbers = ["sigma", "sigma_interval95", "lights", "ambient", "fit"];
+        (numbers.map(|key| found[key].clone()), contents(&solution))
+    };
+    let (numbers, files) = solve("1");
+    let (numbers_of_three, files_of_three) = solve("3");
+    assert_eq!(numbers, numbers_of_three);
+    for ((name, one), (_, three)) in files.iter().zip(&files_of_three) {
+        assert!(one == three, "{name} differs");
+    }
+    assert!(files.len() >= 7, "the textures, the mesh and the light");
+}
+
 #[test]
 fn a_missing_capture_is_one_message_and_status_2() {
     let folder = tempfile::tempdir().unwrap();

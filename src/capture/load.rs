@@ -11,6 +11,8 @@ use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
+/// Radiance from here on counts as infinite: its square is, and some programs write the largest number for infinity.
+const INFINITE: f32 = 1e19;
 /// Most points of the mesh tried when looking for one that a camera sees.
 const SAMPLES: usize = 20_000;
 
@@ -76,6 +78,17 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, CaptureError> 
                 let first = &frame.exposures[0];
                 picture::read_size(&first.path, &first.field)?
             };
+            if u64::from(size.0) * u64::from(size.1) > picture::MAX_PIXELS {
+                return Err(CaptureError::Field {
+                    path: manifest.path.clone(),
+                    field: frame.field.clone(),
+                    problem: format!("asks for {}×{} pixels", size.0, size.1),
+                    advice: format!(
+                        "reduce w and h to {} million pixels at most",
+                        picture::MAX_PIXELS / 1_000_000
+                    ),
+                });
+            }
             let camera = frame.lens.camera(size, frame.world_from_camera);
             Ok((frame.name.clone(), camera))
         })
@@ -303,7 +316,7 @@ fn clean(picture: Picture, mask: Option<&Picture>, name: &str, tally: &mut Tally
         let cover = coverage.as_ref().map_or(1.0, |coverage| coverage[i]);
         let bad = if masked {
             Some(&mut counts.masked)
-        } else if !pixel.iter().all(|v| v.is_finite()) || !cover.is_finite() {
+        } else if !pixel.iter().all(|v| v.abs() < INFINITE) || !cover.is_finite() {
             Some(&mut counts.non_finite)
         } else if saturated[i] && cover > 0.0 {
             Some(&mut counts.saturated)

@@ -15,7 +15,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 /// Most pixels an image may have: beyond any camera, and small enough to fit in memory.
-const MAX_PIXELS: u64 = 256_000_000;
+pub(super) const MAX_PIXELS: u64 = 256_000_000;
 
 /// Largest finite half float, where renderers and cameras clamp.
 const HALF_MAX: f32 = 65_504.0;

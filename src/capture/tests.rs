@@ -5,6 +5,7 @@ use super::picture::Picture;
 use super::{
     Camera, Capture, CaptureError, Distortion, mesh_file, obj, ply, polygon, read_cameras,
 };
+use crate::damage::{Random, damaged};
 use glam::{DAffine3, DMat4, DVec2, DVec3, Vec3};
 use serde_json::{Value, json};
 use std::fs;
@@ -25,26 +26,6 @@ fn bytes(name: &str) -> Vec<u8> {
 
 fn decode(name: &str) -> Result<Picture, CaptureError> {
     Picture::decode(&data(name), &bytes(name), &|_| Ok(()))
-}
-
-/// A small generator of repeatable noise (`SplitMix64`).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, n: usize) -> usize {
-        (self.next() % n as u64) as usize
-    }
-
-    fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1_u64 << 53) as f64
-    }
 }
 
 /// A capture of the 2×2×2 box in a folder of its own.
@@ -571,18 +552,19 @@ fn bad_pixels_are_masked_clamped_and_counted() {
     write_exr(&fixture.folder.path().join("bad.exr"), |i| match i {
         3 => [f32::NAN, 1.0, 1.0, 1.0],
         4 => [1.0, f32::INFINITY, 1.0, 1.0],
+        6 => [1.0, 1.0, f32::MAX, 1.0],
         5 => [-0.25, 0.5, 1.0, 1.0],
         _ => [1.0, 1.0, 1.0, 1.0],
     });
     let capture = fixture.loaded();
     let photograph = &capture.views[0].photograph;
-    assert_eq!(photograph.usable.iter().filter(|&&u| !u).count(), 2);
-    assert!(!photograph.usable[3] && !photograph.usable[4]);
+    assert_eq!(photograph.usable.iter().filter(|&&u| !u).count(), 3);
+    assert!([3, 4, 6].iter().all(|&i| !photograph.usable[i]));
     assert_eq!(photograph.radiance[3], [0.0; 3]);
     assert_eq!(photograph.radiance[5], [0.0, 0.5, 1.0]);
     let all = capture.warnings.join("\n");
     assert!(
-        all.contains("Not finite and left out: 2 pixels in bad.exr"),
+        all.contains("Not finite and left out: 3 pixels in bad.exr"),
         "{all}"
     );
     assert!(
@@ -1180,36 +1162,6 @@ fn exposures_on_different_scales_are_refused() {
             .message()
             .contains("frames[1].exposures[0].exposure_time is missing")
     );
-}
-
-/// Bytes with a few random changes: flips, cuts, repeats and digits.
-fn damaged(original: &[u8], random: &mut Random) -> Vec<u8> {
-    let mut bytes = original.to_vec();
-    for _ in 0..=random.below(4) {
-        if bytes.is_empty() {
-            break;
-        }
-        let at = random.below(bytes.len());
-        match random.below(6) {
-            0 => bytes[at] ^= 1 << random.below(8),
-            1 => bytes[at] = random.next() as u8,
-            2 => bytes.truncate(at),
-            3 => {
-                let end = (at + random.below(16)).min(bytes.len());
-                let piece = bytes[at..end].to_vec();
-                bytes.splice(at..at, piece);
-            }
-            4 => {
-                let letters = b"0123456789-.eE/\\{}[],:\"\n ";
-                bytes[at] = letters[random.below(letters.len())];
-            }
-            _ => {
-                let end = (at + 4).min(bytes.len());
-                bytes[at..end].fill(0xff);
-            }
-        }
-    }
-    bytes
 }
 
 #[test]

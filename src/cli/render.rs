@@ -93,9 +93,13 @@ pub(super) fn cannot_write(folder: &Path) -> String {
 pub(super) fn shots(cameras: &Path) -> anyhow::Result<Vec<Shot>> {
     let mut shots: Vec<Shot> = Vec::new();
     for (name, camera) in read_cameras(cameras)? {
-        let stem = Path::new(&name)
-            .file_stem()
-            .map_or_else(|| name.clone(), |s| s.to_string_lossy().into_owned());
+        let Some(stem) = Path::new(&name).file_stem() else {
+            bail!(
+                "{}: file_path \"{name}\" has no file name to call the picture by; give it one",
+                cameras.display()
+            );
+        };
+        let stem = stem.to_string_lossy().into_owned();
         if shots.iter().any(|s| s.stem == stem) {
             bail!(
                 "{}: two frames would both be written to {stem}.exr; give their file_path different names",

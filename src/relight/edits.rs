@@ -394,6 +394,7 @@ pub fn apply(edits: &[Edit], lighting: &Lighting) -> Result<Lighting, EditError>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::damage::{Random, damaged};
 
     fn two_lamps() -> Lighting {
         Lighting {
@@ -419,6 +420,25 @@ mod tests {
 
     fn applied(text: &str) -> Lighting {
         apply(&load_text(text).unwrap(), &two_lamps()).unwrap()
+    }
+
+    #[test]
+    fn damaged_edits_are_refused_or_keep_the_light_sane() {
+        let mut random = Random(12);
+        let text = br#"[{"mute": {"near": [0, 1, 0]}}, {"gain": {"near": [1, 0, 0], "rgb": [2, 0.5, 1e1]}},
+            {"move": {"near": [1, 0, 0], "to": [0, 0, 1]}}, {"ambient": {"gain": 0.5}},
+            {"add": {"direction": [0, 1, 0], "flux": [1, 1, 1], "angular_radius_deg": 3}}]"#;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("edits.json");
+        for _ in 0..2000 {
+            fs::write(&path, damaged(text, &mut random)).unwrap();
+            let Ok(lighting) = load(&path).map(|edits| apply(&edits, &two_lamps())) else {
+                continue;
+            };
+            for lamp in lighting.iter().flat_map(|l| &l.lamps) {
+                assert!(!lamp.flux().is_nan() && lamp.flux().min_element() >= 0.0);
+            }
+        }
     }
 
     #[test]

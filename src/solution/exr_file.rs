@@ -59,12 +59,29 @@ pub fn write_gray(path: &Path, width: u32, values: &[f32]) -> io::Result<()> {
         .map_err(to_io)
 }
 
+/// Checks that a file has the stated size before memory is taken for what its header announces.
+fn check_header(path: &Path, width: u32, height: u32) -> std::result::Result<(), String> {
+    let meta = MetaData::read_from_file(path, false).map_err(|e| e.to_string())?;
+    for header in &meta.headers {
+        let size = header.layer_size;
+        if (size.x(), size.y()) != (width as usize, height as usize) {
+            return Err(format!(
+                "it is {}×{}, expected {width}×{height}",
+                size.x(),
+                size.y()
+            ));
+        }
+    }
+    Ok(())
+}
+
 /// Reads RGB of the stated size; the error says what is wrong with the file.
 pub fn read_rgb(
     path: &Path,
     width: u32,
     height: u32,
 ) -> std::result::Result<Vec<[f32; 3]>, String> {
+    check_header(path, width, height)?;
     let picture = read_first_rgba_layer_from_file(
         path,
         |size, _| (size.0, vec![[0.0_f32; 3]; size.0 * size.1]),
@@ -73,8 +90,7 @@ pub fn read_rgb(
         },
     )
     .map_err(|e| e.to_string())?;
-    let (found_width, pixels) = picture.layer_data.channel_data.pixels;
-    check_size(found_width, pixels.len(), width, height)?;
+    let (_, pixels) = picture.layer_data.channel_data.pixels;
     if pixels.iter().flatten().all(|v| v.is_finite()) {
         Ok(pixels)
     } else {
@@ -84,6 +100,7 @@ pub fn read_rgb(
 
 /// Reads one channel, Y, of the stated size; the error says what is wrong with the file.
 pub fn read_gray(path: &Path, width: u32, height: u32) -> std::result::Result<Vec<f32>, String> {
+    check_header(path, width, height)?;
     let picture = read()
         .no_deep_data()
         .largest_resolution_level()
@@ -97,28 +114,11 @@ pub fn read_gray(path: &Path, width: u32, height: u32) -> std::result::Result<Ve
         .all_attributes()
         .from_file(path)
         .map_err(|e| e.to_string())?;
-    let (found_width, pixels) = picture.layer_data.channel_data.pixels;
-    check_size(found_width, pixels.len(), width, height)?;
+    let (_, pixels) = picture.layer_data.channel_data.pixels;
     if pixels.iter().all(|v| v.is_finite()) {
         Ok(pixels)
     } else {
         Err("it has values that are not finite".to_owned())
-    }
-}
-
-fn check_size(
-    found_width: usize,
-    count: usize,
-    width: u32,
-    height: u32,
-) -> std::result::Result<(), String> {
-    let found_height = count / found_width.max(1);
-    if (found_width, found_height) == (width as usize, height as usize) {
-        Ok(())
-    } else {
-        Err(format!(
-            "it is {found_width}×{found_height}, expected {width}×{height}"
-        ))
     }
 }
 

@@ -223,6 +223,15 @@ impl Solution {
     }
 
     fn manifest(&self) -> Manifest {
+        // JSON has no word for infinity, which these reach where the data are absurd.
+        let finite = |value: f64| {
+            if value.is_finite() {
+                value
+            } else {
+                f64::from(f32::MAX)
+            }
+        };
+        let views = self.fit.psnr_db_per_view.iter();
         Manifest {
             format: FORMAT.to_owned(),
             version: VERSION,
@@ -255,9 +264,20 @@ impl Solution {
                 .collect(),
             ambient: self.ambient.to_array(),
             diagnostics: self.diagnostics.clone(),
-            fit: self.fit.clone(),
+            fit: Fit {
+                residual_rms: finite(self.fit.residual_rms),
+                psnr_db_per_view: views.map(|&db| finite(db.into()) as f32).collect(),
+            },
             timings_s: to_map(&self.timings),
-            convergence: self.convergence.clone(),
+            convergence: self
+                .convergence
+                .iter()
+                .map(|iteration| Iteration {
+                    objective: finite(iteration.objective),
+                    residual_rms: finite(iteration.residual_rms.into()) as f32,
+                    ..*iteration
+                })
+                .collect(),
             texture: Texture {
                 width: self.atlas.width,
                 height: self.atlas.height,
@@ -518,7 +538,15 @@ fn check_manifest(manifest: &Manifest) -> Result<HemisphereGrid, String> {
     {
         return Err("the hemisphere's radius is not positive".to_owned());
     }
-    if manifest.sigma.is_some_and(|s| !(s > 0.0 && s < 2.0)) {
+    if !Vec3::from(hemisphere.centre).is_finite() {
+        return Err("the hemisphere's centre is not finite".to_owned());
+    }
+    let lamps = &manifest.lights;
+    let numbers = lamps.iter().flat_map(|l| l.direction.iter().chain(&l.flux));
+    if numbers.copied().any(|v| !v.is_finite()) {
+        return Err("a light's direction or flux is not finite".to_owned());
+    }
+    if manifest.sigma.is_some_and(|s| !(s > 1e-4 && s < 2.0)) {
         return Err("sigma is out of range".to_owned());
     }
     if manifest.sigma.is_some() != manifest.specular_model.is_some() {
@@ -550,6 +578,7 @@ fn check_manifest(manifest: &Manifest) -> Result<HemisphereGrid, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::damage::{Random, damaged};
     use crate::estimate::SpecularModel;
 
     fn example() -> Solution {
@@ -639,6 +668,52 @@ mod tests {
         fs::write(&manifest, &text).unwrap();
         fs::remove_file(path.join("albedo.exr")).unwrap();
         assert!(message(&path).contains("albedo.exr"));
+    }
+
+    #[test]
+    fn damaged_solutions_are_refused_or_read() {
+        let mut random = Random(11);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("solution");
+        example().save(&path).unwrap();
+        let files = [
+            ("solution.json", 400),
+            ("nodes.json", 300),
+            ("mesh.ply", 300),
+            ("albedo.exr", 150),
+            ("confidence.exr", 150),
+        ];
+        for (name, rounds) in files {
+            let file = path.join(name);
+            let whole = fs::read(&file).unwrap();
+            for _ in 0..rounds {
+                fs::write(&file, damaged(&whole, &mut random)).unwrap();
+                match Solution::load(&path) {
+                    Ok(solution) => {
+                        assert_eq!(solution.radiance.len(), solution.grid.directions.len());
+                        let count = solution.atlas.len();
+                        let textures = [solution.diffuse.len(), solution.confidence.len()];
+                        assert_eq!(textures, [count; 2], "one value per texel");
+                        let _ = (solution.lighting(), solution.summary());
+                    }
+                    Err(error) => assert!(error.to_string().contains("solution"), "{error}"),
+                }
+            }
+            fs::write(&file, whole).unwrap();
+        }
+        assert!(Solution::load(&path).is_ok());
+    }
+
+    #[test]
+    fn a_solution_of_absurd_data_can_be_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("solution");
+        let mut solution = example();
+        solution.fit.residual_rms = f64::INFINITY;
+        solution.fit.psnr_db_per_view = vec![f32::NAN, 40.0];
+        solution.save(&path).unwrap();
+        let read = Solution::load(&path).unwrap();
+        assert_eq!(read.fit.psnr_db_per_view[1], 40.0);
     }
 
     #[test]
