@@ -326,9 +326,11 @@ impl Tile<'_> {
     }
 
     /// Cosine of the largest angle between normals that mirror much the same: the mirrored direction turns by twice that
-    /// angle, and the lobe is some 2σ wide.
+    /// angle, and the lobe is some 4σ wide.
     fn same_mirror_cos(&self) -> f32 {
-        self.scene.brdf.map_or(1.0, |b| b.sigma.min(0.3).cos())
+        self.scene
+            .brdf
+            .map_or(1.0, |b| (2.0 * b.sigma).min(0.3).cos())
     }
 
     /// Adds up a pixel's sub-samples.

@@ -372,6 +372,30 @@ impl<'a> Shader<'a> {
         }
     }
 
+    /// Part of a group's light, of what is above the horizon, that reaches a point; `None` where all of it is below.
+    pub fn seen_share(&self, point: &ShadingPoint, group: usize) -> Option<f32> {
+        let seen = self.cast(point, group);
+        let group = &self.groups[group];
+        match seen {
+            Visibility::Below => None,
+            Visibility::Hidden => Some(0.0),
+            Visibility::Whole => Some(1.0),
+            Visibility::Fraction(f) => Some(f),
+            Visibility::Part(bits) => {
+                let (mut clear, mut all) = (0.0, 0.0);
+                for (i, node) in group.nodes.iter().enumerate() {
+                    let (l, falloff, _) = group.towards(node.place, point.position);
+                    if l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0 {
+                        let flux = falloff * node.flux.element_sum();
+                        all += flux;
+                        clear += flux * f32::from(u8::from(bits[i / 64] >> (i % 64) & 1 == 1));
+                    }
+                }
+                (all > 0.0).then(|| clear / all)
+            }
+        }
+    }
+
     /// Visibilities on a grid of `points`, row by row, `width` of them in a row, `groups()` for each point. Only every
     /// fourth point in each direction casts probes; those between take what all their neighbours of the same
     /// surface agree on, and cast their own where there is no agreement. `spacing` is the typical distance of

@@ -1,0 +1,158 @@
+//! Fills what no view saw, or no light reached, from its surroundings.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::albedo::Mean;
+use super::render::Scene;
+use crate::capture::Mesh;
+use crate::surface::Atlas;
+
+/// Rounds of diffusion at most: each carries values one edge further.
+const MAX_ROUNDS: usize = 400;
+
+/// For every entry of `atlas.texels`, what its surroundings say about its albedo: known values are gathered at the
+/// vertices, spread over the mesh's edges to those without, and interpolated.
+pub(super) fn fill(
+    scene: &Scene,
+    atlas: &Atlas,
+    albedo: &[Vec3],
+    known: &[f32],
+    confidence: &[f32],
+) -> Vec<Vec3> {
+    let mesh = scene.mesh;
+    // Vertices at one place are one, whatever their normals and texture coordinates.
+    let welded = weld(&mesh.positions);
+    let places = welded.iter().map(|&w| w as usize + 1).max().unwrap_or(0);
+    let mut sum = vec![glam::DVec3::ZERO; places];
+    let mut weight = vec![0.0_f64; places];
+    let mut mean = Mean::default();
+    for texel in atlas.texels.iter().filter(|t| !t.gutter) {
+        let t = texel.index as usize;
+        let w = f64::from(known[t] * confidence[t]);
+        if w == 0.0 {
+            continue;
+        }
+        let value = albedo[t].as_dvec3();
+        mean.add(albedo[t], known[t] * confidence[t]);
+        let (u, v) = (texel.barycentric.x, texel.barycentric.y);
+        let corners = mesh.triangles[texel.triangle as usize];
+        for (corner, share) in corners.into_iter().zip([1.0 - u - v, u, v]) {
+            let place = welded[corner as usize] as usize;
+            let w = w * f64::from(share.max(0.0));
+            sum[place] += value * w;
+            weight[place] += w;
+        }
+    }
+    let mean = mean.value();
+    let mut value: Vec<Option<Vec3>> = (0..places)
+        .map(|p| (weight[p] > 1e-6).then(|| (sum[p] / weight[p]).as_vec3()))
+        .collect();
+    let fixed: Vec<bool> = value.iter().map(Option::is_some).collect();
+    diffuse_over_edges(&neighbours(mesh, &welded, places), &mut value, &fixed);
+    atlas
+        .texels
+        .par_iter()
+        .map(|texel| {
+            let (u, v) = (
+                texel.barycentric.x.clamp(0.0, 1.0),
+                texel.barycentric.y.clamp(0.0, 1.0),
+            );
+            let corners = mesh.triangles[texel.triangle as usize];
+            let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+            for (corner, share) in corners.into_iter().zip([(1.0 - u - v).max(0.0), u, v]) {
+                if let Some(value) = value[welded[corner as usize] as usize] {
+                    sum += value * share;
+                    total += share;
+                }
+            }
+            if total > 1e-6 { sum / total } else { mean }
+        })
+        .collect()
+}
+
+/// For every vertex the number of its place: equal positions have equal numbers.
+fn weld(positions: &[Vec3]) -> Vec<u32> {
+    let bits = |p: &Vec3| p.to_array().map(|c| (c + 0.0).to_bits());
+    let mut order: Vec<u32> = (0..positions.len() as u32).collect();
+    order.par_sort_unstable_by_key(|&i| (bits(&positions[i as usize]), i));
+    let mut place = vec![0; positions.len()];
+    let mut next = 0;
+    for pair in 0..order.len() {
+        if pair > 0
+            && bits(&positions[order[pair] as usize]) != bits(&positions[order[pair - 1] as usize])
+        {
+            next += 1;
+        }
+        place[order[pair] as usize] = next;
+    }
+    place
+}
+
+/// Places joined by an edge, in compressed rows.
+fn neighbours(mesh: &Mesh, welded: &[u32], places: usize) -> (Vec<u32>, Vec<u32>) {
+    let mut edges: Vec<(u32, u32)> = Vec::with_capacity(6 * mesh.triangles.len());
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|v| welded[v as usize]);
+        edges.extend([(a, b), (b, a), (b, c), (c, b), (c, a), (a, c)]);
+    }
+    edges.par_sort_unstable();
+    edges.dedup();
+    let mut starts = vec![0_u32; places + 1];
+    for &(from, _) in &edges {
+        starts[from as usize + 1] += 1;
+    }
+    for i in 0..places {
+        starts[i + 1] += starts[i];
+    }
+    (starts, edges.into_iter().map(|(_, to)| to).collect())
+}
+
+/// Spreads values from the fixed places: first outwards, ring by ring, then smoothed towards the mean of neighbours.
+fn diffuse_over_edges(
+    (starts, list): &(Vec<u32>, Vec<u32>),
+    value: &mut [Option<Vec3>],
+    fixed: &[bool],
+) {
+    let around = |p: usize| &list[starts[p] as usize..starts[p + 1] as usize];
+    let mean = |value: &[Option<Vec3>], p: usize| {
+        let known: Vec<Vec3> = around(p)
+            .iter()
+            .filter_map(|&n| value[n as usize])
+            .collect();
+        (!known.is_empty()).then(|| known.iter().sum::<Vec3>() / known.len() as f32)
+    };
+    let mut open: Vec<u32> = (0..value.len() as u32)
+        .filter(|&p| !fixed[p as usize])
+        .collect();
+    let free = open.clone();
+    while !open.is_empty() {
+        let reached: Vec<(u32, Vec3)> = open
+            .par_iter()
+            .filter_map(|&p| mean(value, p as usize).map(|v| (p, v)))
+            .collect();
+        if reached.is_empty() {
+            // What is left hangs together with nothing known.
+            break;
+        }
+        for (p, v) in reached {
+            value[p as usize] = Some(v);
+        }
+        open.retain(|&p| value[p as usize].is_none());
+    }
+    for _ in 0..MAX_ROUNDS {
+        let smoothed: Vec<Option<Vec3>> =
+            free.par_iter().map(|&p| mean(value, p as usize)).collect();
+        let mut change = 0.0_f32;
+        for (&p, v) in free.iter().zip(smoothed) {
+            let old = value[p as usize];
+            if let (Some(new), Some(old)) = (v, old) {
+                change = change.max((new - old).abs().max_element() / old.max_element().max(1e-30));
+            }
+            value[p as usize] = v.or(old);
+        }
+        if change < 1e-3 {
+            break;
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! Irradiance of every texel under a lighting.
+//!
+//! Most triangles of a fine mesh are far smaller than a penumbra. Their corners and centroids say how much of each lamp
+//! they see, and between them that is linear; only where the four disagree every texel casts its own rays.
+
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::render::Scene;
+use super::shading::{Shader, ShadingPoint, Visibility};
+use crate::surface::Atlas;
+
+/// Texels along each side of a tile, the unit of work.
+const TILE: usize = 32;
+/// Triangles of at most this many texels have their visibility interpolated …
+const SMALL_TRIANGLE: u32 = 40;
+/// … where a lamp's seen part differs by no more than this between their corners …
+const MAX_SPREAD: f32 = 0.35;
+/// … and by no more than this between their centroid and the corners' mean.
+const MAX_BEND: f32 = 0.12;
+
+/// Irradiance of every texel by the light of `shader`, zero outside the atlas.
+pub fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Vec3> {
+    let (width, height) = (atlas.width as usize, atlas.height as usize);
+    let triangles = triangle_shares(scene, atlas, shader);
+    let groups = shader.groups();
+    // Texels of plain triangles at once; the others are left for their tiles.
+    let first: Vec<(u32, Result<Vec3, ShadingPoint>)> = atlas
+        .texels
+        .par_iter()
+        .map_with(vec![Visibility::Below; groups], |seen, texel| {
+            let point = ShadingPoint::on(scene.mesh, texel.triangle, texel.barycentric);
+            let value = match &triangles[texel.triangle as usize] {
+                Some(shares) => {
+                    let (u, v) = (texel.barycentric.x, texel.barycentric.y);
+                    for (seen, [a, b, c]) in seen.iter_mut().zip(shares) {
+                        let share = a + u * (b - a) + v * (c - a);
+                        *seen = Visibility::Fraction(share.clamp(0.0, 1.0));
+                    }
+                    Ok(shader.irradiance(&point, seen))
+                }
+                None => Err(point),
+            };
+            (texel.index, value)
+        })
+        .collect();
+    let mut irradiance = vec![Vec3::ZERO; width * height];
+    let mut points: Vec<Option<ShadingPoint>> = vec![None; width * height];
+    for (index, value) in first {
+        match value {
+            Ok(value) => irradiance[index as usize] = value,
+            Err(point) => points[index as usize] = Some(point),
+        }
+    }
+    let spacing = texel_spacing(scene, atlas);
+    let columns = width.div_ceil(TILE);
+    let tiles: Vec<Vec<(usize, Vec3)>> = (0..columns * height.div_ceil(TILE))
+        .into_par_iter()
+        .map(|tile| {
+            let (x, y) = (tile % columns * TILE, tile / columns * TILE);
+            let (w, h) = (TILE.min(width - x), TILE.min(height - y));
+            let local: Vec<Option<ShadingPoint>> = (y..y + h)
+                .flat_map(|row| points[row * width + x..row * width + x + w].iter().copied())
+                .collect();
+            if local.iter().all(Option::is_none) {
+                return Vec::new();
+            }
+            let seen: Vec<Visibility> = shader.visibility(&local, w, spacing, &|_, _| true);
+            local
+                .iter()
+                .enumerate()
+                .filter_map(|(i, point)| {
+                    let point = point.as_ref()?;
+                    let value = shader.irradiance(point, &seen[i * groups..(i + 1) * groups]);
+                    Some(((y + i / w) * width + x + i % w, value))
+                })
+                .collect()
+        })
+        .collect();
+    for (index, value) in tiles.into_iter().flatten() {
+        irradiance[index] = value;
+    }
+    irradiance
+}
+
+/// Mean distance of neighbouring texels on the surface.
+fn texel_spacing(scene: &Scene, atlas: &Atlas) -> f32 {
+    let area: f64 = (0..scene.mesh.triangles.len() as u32)
+        .map(|t| {
+            let [a, b, c] = scene.mesh.corners(t);
+            0.5 * f64::from((b - a).cross(c - a).length())
+        })
+        .sum();
+    let inside = atlas.texels.iter().filter(|t| !t.gutter).count();
+    (area / inside.max(1) as f64).sqrt() as f32
+}
+
+/// Of every triangle the seen part of each lamp at its corners. `None` for triangles that are large or have a shadow's edge.
+fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<Vec<[f32; 3]>>> {
+    let mesh = scene.mesh;
+    let mut texels = vec![0_u32; mesh.triangles.len()];
+    for texel in atlas.texels.iter().filter(|t| !t.gutter) {
+        texels[texel.triangle as usize] += 1;
+    }
+    let small = |t: usize| texels[t] <= SMALL_TRIANGLE;
+    let mut needed = vec![false; mesh.positions.len()];
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        for &v in triangle {
+            needed[v as usize] |= small(t);
+        }
+    }
+    let groups = shader.groups();
+    let shares = |point: &ShadingPoint| -> Vec<Option<f32>> {
+        (0..groups).map(|g| shader.seen_share(point, g)).collect()
+    };
+    let corners: Vec<Vec<Option<f32>>> = (0..mesh.positions.len())
+        .into_par_iter()
+        .map(|v| {
+            let normal = mesh.normals[v];
+            let point = ShadingPoint {
+                position: mesh.positions[v],
+                normal,
+                face_normal: normal,
+            };
+            if needed[v] {
+                shares(&point)
+            } else {
+                Vec::new()
+            }
+        })
+        .collect();
+    (0..mesh.triangles.len())
+        .into_par_iter()
+        .map(|t| {
+            if !small(t) {
+                return None;
+            }
+            let centre = shares(&ShadingPoint::on(mesh, t as u32, Vec2::splat(1.0 / 3.0)));
+            (0..groups)
+                .map(|g| linear(mesh.triangles[t].map(|v| corners[v as usize][g]), centre[g]))
+                .collect()
+        })
+        .collect()
+}
+
+/// The corners' shares if they are linear over the triangle. A corner that the lamp is below takes what the centroid
+/// sees: light is grazing there and hardly counts.
+fn linear(corners: [Option<f32>; 3], centre: Option<f32>) -> Option<[f32; 3]> {
+    let Some(at_centre) = centre else {
+        let dark = corners.iter().all(|c| c.is_none_or(|share| share == 0.0));
+        return dark.then_some([0.0; 3]);
+    };
+    let corners = corners.map(|c| c.unwrap_or(at_centre));
+    let highest = corners.into_iter().fold(at_centre, f32::max);
+    let lowest = corners.into_iter().fold(at_centre, f32::min);
+    let mean = corners.iter().sum::<f32>() / 3.0;
+    (highest - lowest <= MAX_SPREAD && (mean - at_centre).abs() <= MAX_BEND).then_some(corners)
+}
