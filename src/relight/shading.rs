@@ -30,6 +30,10 @@ const SAME_SURFACE_STEPS: f32 = 4.0;
 /// [`SHARP_REACH`] casts shadows with edges.
 const SHARP_SHARE: f32 = 0.02;
 const SHARP_REACH: f32 = 0.12;
+/// Lamps of at least this many nodes send scouts ahead …
+const MANY_NODES: usize = 24;
+/// … this many.
+const SCOUTS: usize = 12;
 /// Rays per patch of an environment.
 const SOFT_RAYS: usize = 4;
 
@@ -118,6 +122,10 @@ struct Group {
     reach: f32,
     /// Nodes that tell whether the lamp is seen.
     probes: Vec<usize>,
+    /// Nodes spread over a lamp of many.
+    scouts: Vec<usize>,
+    /// For every node of a lamp with scouts the three of them that are nearest.
+    among: Vec<[u8; 3]>,
     /// Σ flux × direction for each channel, of a distant lamp.
     moment: [Vec3; 3],
     /// Visibility is a fraction that varies smoothly.
@@ -157,17 +165,20 @@ impl Group {
             .iter()
             .map(|n| n.direction.angle_between(lamp.direction))
             .fold(0.0, f32::max);
+        let directions: Vec<Vec3> = lit.iter().map(|n| n.direction).collect();
         let probes = if soft {
             let count = SOFT_RAYS.min(nodes.len());
             (0..count).map(|i| i * nodes.len() / count).collect()
         } else {
-            let mut probes = extremal(
-                &lit.iter().map(|n| n.direction).collect::<Vec<_>>(),
-                lamp.direction,
-            );
+            let mut probes = extremal(&directions, lamp.direction);
             probes.sort_unstable();
             probes.dedup();
             probes
+        };
+        let (scouts, among) = if soft || directions.len() < MANY_NODES {
+            (Vec::new(), Vec::new())
+        } else {
+            scouts(&directions)
         };
         let mut moment = [Vec3::ZERO; 3];
         for n in &lit {
@@ -181,6 +192,8 @@ impl Group {
             axis: place(lamp.direction),
             reach,
             probes,
+            scouts,
+            among,
             moment,
             soft,
         })
@@ -251,6 +264,35 @@ fn extremal(directions: &[Vec3], axis: Vec3) -> Vec<usize> {
         .collect();
     probes.extend(furthest(&|d| d.dot(axis)));
     probes
+}
+
+/// Nodes spread as far apart as they can be, the next always furthest from those before, and for every node the three
+/// nearest of them.
+fn scouts(directions: &[Vec3]) -> (Vec<usize>, Vec<[u8; 3]>) {
+    let mut scouts = vec![0];
+    let mut distance: Vec<f32> = directions
+        .iter()
+        .map(|d| d.distance_squared(directions[0]))
+        .collect();
+    while scouts.len() < SCOUTS {
+        let furthest = (0..distance.len())
+            .max_by(|&a, &b| distance[a].total_cmp(&distance[b]))
+            .unwrap_or(0);
+        scouts.push(furthest);
+        for (d, direction) in distance.iter_mut().zip(directions) {
+            *d = d.min(direction.distance_squared(directions[furthest]));
+        }
+    }
+    let among = directions
+        .iter()
+        .map(|direction| {
+            let mut order: Vec<u8> = (0..SCOUTS as u8).collect();
+            let away = |s: u8| directions[scouts[usize::from(s)]].distance_squared(*direction);
+            order.sort_by(|&a, &b| away(a).total_cmp(&away(b)));
+            [order[0], order[1], order[2]]
+        })
+        .collect();
+    (scouts, among)
 }
 
 impl<'a> Shader<'a> {
@@ -360,16 +402,28 @@ impl<'a> Shader<'a> {
         match (blocked, clear) {
             (0, 1..) => Visibility::Whole,
             (1.., 0) => Visibility::Hidden,
-            _ => {
-                let mut bits = vec![0_u64; group.nodes.len().div_ceil(64)].into_boxed_slice();
-                for node in 0..group.nodes.len() {
-                    if self.ray_is_blocked(point, origin, group, node) == Some(false) {
-                        bits[node / 64] |= 1 << (node % 64);
-                    }
-                }
-                Visibility::Part(bits)
+            _ => Visibility::Part(self.cast_all(point, origin, group)),
+        }
+    }
+
+    /// Which nodes of a group a point sees. Scouts go first; a node among three scouts that agree is as they are.
+    fn cast_all(&self, point: &ShadingPoint, origin: Vec3, group: &Group) -> Box<[u64]> {
+        let blocked = |node| self.ray_is_blocked(point, origin, group, node);
+        let scouts: Vec<Option<bool>> = group.scouts.iter().map(|&node| blocked(node)).collect();
+        let mut bits = vec![0_u64; group.nodes.len().div_ceil(64)].into_boxed_slice();
+        for node in 0..group.nodes.len() {
+            let agreed = group.among.get(node).and_then(|&[a, b, c]| {
+                let first = scouts[usize::from(a)]?;
+                let agree = [b, c]
+                    .iter()
+                    .all(|&s| scouts[usize::from(s)] == Some(first));
+                agree.then_some(first)
+            });
+            if agreed.or_else(|| blocked(node)) == Some(false) {
+                bits[node / 64] |= 1 << (node % 64);
             }
         }
+        bits
     }
 
     /// Part of a group's light, of what is above the horizon, that reaches a point; `None` where all of it is below.
