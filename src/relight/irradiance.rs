@@ -14,9 +14,10 @@ use crate::surface::Atlas;
 const TILE: usize = 32;
 /// Triangles of at most this many texels have their visibility interpolated …
 const SMALL_TRIANGLE: u32 = 40;
-/// … where a lamp's seen part differs by no more than this between their corners …
-const MAX_SPREAD: f32 = 0.35;
-/// … and by no more than this between their centroid and the corners' mean.
+/// … where a lamp's seen part differs between their corners by no more than this part of the most that is seen: in
+/// the dark, where an albedo is the quotient of two small numbers, as in the light …
+const MAX_SPREAD: f32 = 0.4;
+/// … and between their centroid and the corners' mean by no more than this part.
 const MAX_BEND: f32 = 0.12;
 
 /// Irradiance of every texel by the light of `shader`, zero outside the atlas.
@@ -24,7 +25,7 @@ pub fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Ve
     let (width, height) = (atlas.width as usize, atlas.height as usize);
     let triangles = triangle_shares(scene, atlas, shader);
     let groups = shader.groups();
-    // Texels of plain triangles at once; the others are left for their tiles.
+    // Texels of small triangles at once; the others are left for their tiles.
     let first: Vec<(u32, Result<Vec3, ShadingPoint>)> = atlas
         .texels
         .par_iter()
@@ -33,9 +34,14 @@ pub fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Ve
             let value = match &triangles[texel.triangle as usize] {
                 Some(shares) => {
                     let (u, v) = (texel.barycentric.x, texel.barycentric.y);
-                    for (seen, [a, b, c]) in seen.iter_mut().zip(shares) {
-                        let share = a + u * (b - a) + v * (c - a);
-                        *seen = Visibility::Fraction(share.clamp(0.0, 1.0));
+                    for (group, (seen, corners)) in seen.iter_mut().zip(shares).enumerate() {
+                        *seen = match corners {
+                            Some([a, b, c]) => {
+                                let share = a + u * (b - a) + v * (c - a);
+                                Visibility::Fraction(share.clamp(0.0, 1.0))
+                            }
+                            None => shader.cast(&point, group),
+                        };
                     }
                     Ok(shader.irradiance(&point, seen))
                 }
@@ -95,8 +101,11 @@ fn texel_spacing(scene: &Scene, atlas: &Atlas) -> f32 {
     (area / inside.max(1) as f64).sqrt() as f32
 }
 
-/// Of every triangle the seen part of each lamp at its corners. `None` for triangles that are large or have a shadow's edge.
-fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<Vec<[f32; 3]>>> {
+/// Seen part of a lamp at a triangle's corners, if it is linear between them.
+type Shares = Option<[f32; 3]>;
+
+/// For every small triangle and each lamp what its corners see of it; `None` for large triangles.
+fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<Vec<Shares>>> {
     let mesh = scene.mesh;
     let mut texels = vec![0_u32; mesh.triangles.len()];
     for texel in atlas.texels.iter().filter(|t| !t.gutter) {
@@ -132,20 +141,22 @@ fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<
     (0..mesh.triangles.len())
         .into_par_iter()
         .map(|t| {
-            if !small(t) {
-                return None;
-            }
-            let centre = shares(&ShadingPoint::on(mesh, t as u32, Vec2::splat(1.0 / 3.0)));
-            (0..groups)
-                .map(|g| linear(mesh.triangles[t].map(|v| corners[v as usize][g]), centre[g]))
-                .collect()
+            small(t).then(|| {
+                let centroid = ShadingPoint::on(mesh, t as u32, Vec2::splat(1.0 / 3.0));
+                let triangle = mesh.triangles[t];
+                shares(&centroid)
+                    .into_iter()
+                    .enumerate()
+                    .map(|(g, centre)| linear(triangle.map(|v| corners[v as usize][g]), centre))
+                    .collect()
+            })
         })
         .collect()
 }
 
 /// The corners' shares if they are linear over the triangle. A corner that the lamp is below takes what the centroid
 /// sees: light is grazing there and hardly counts.
-fn linear(corners: [Option<f32>; 3], centre: Option<f32>) -> Option<[f32; 3]> {
+fn linear(corners: [Option<f32>; 3], centre: Option<f32>) -> Shares {
     let Some(at_centre) = centre else {
         let dark = corners.iter().all(|c| c.is_none_or(|share| share == 0.0));
         return dark.then_some([0.0; 3]);
@@ -154,5 +165,33 @@ fn linear(corners: [Option<f32>; 3], centre: Option<f32>) -> Option<[f32; 3]> {
     let highest = corners.into_iter().fold(at_centre, f32::max);
     let lowest = corners.into_iter().fold(at_centre, f32::min);
     let mean = corners.iter().sum::<f32>() / 3.0;
-    (highest - lowest <= MAX_SPREAD && (mean - at_centre).abs() <= MAX_BEND).then_some(corners)
+    (highest - lowest <= MAX_SPREAD * highest && (mean - at_centre).abs() <= MAX_BEND * highest)
+        .then_some(corners)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_shadows_edge_is_not_taken_for_a_ramp() {
+        let whole = Some(1.0);
+        assert_eq!(linear([whole; 3], whole), Some([1.0; 3]));
+        assert_eq!(
+            linear([whole, whole, Some(0.0)], Some(0.66)),
+            None,
+            "a sharp edge"
+        );
+        assert_eq!(
+            linear([whole; 3], Some(0.0)),
+            None,
+            "a thin shadow across the middle"
+        );
+        assert_eq!(
+            linear([Some(0.5), Some(0.6), Some(0.7)], Some(0.6)),
+            Some([0.5, 0.6, 0.7])
+        );
+        assert_eq!(linear([None; 3], None), Some([0.0; 3]), "the lamp is below");
+        assert_eq!(linear([None, whole, whole], whole), Some([1.0; 3]));
+    }
 }

@@ -15,7 +15,7 @@ use crate::estimate::Brdf;
 use crate::surface::{Atlas, Occluder};
 
 /// Half vectors of a lobe.
-const RAYS: usize = 16;
+const RAYS: usize = 12;
 /// Entries of the reflectance table, over the cosine of the view.
 const TABLE: usize = 64;
 

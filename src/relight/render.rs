@@ -285,11 +285,13 @@ impl Tile<'_> {
                 spacing,
                 self.same_mirror_cos(),
             );
-            all[index] = if corners.len() == 4 {
-                corners
+            let shares: f32 = corners.iter().map(|c| c.1).sum();
+            all[index] = if corners.len() >= 3 && shares > 0.5 {
+                let sum: Vec3 = corners
                     .iter()
                     .map(|&(corner, share)| all[corner] * share)
-                    .sum()
+                    .sum();
+                sum / shares
             } else {
                 cast(index).unwrap_or_default()
             };
