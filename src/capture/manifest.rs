@@ -1,4 +1,5 @@
-//! Which files and cameras make up a capture: `transforms.json` in the nerfstudio / instant-ngp convention.
+//! Which files and cameras make up a capture: `transforms.json` in the nerfstudio / instant-ngp convention, or a COLMAP
+//! model.
 //!
 //! Cameras are camera-to-world matrices with OpenGL axes. Where nerfstudio moved the scene into a frame of its own
 //! it says so by `applied_transform` A and `applied_scale` s, `p = s·A·p_original`; both are undone here, so
@@ -9,6 +10,7 @@
 //! images are undistorted easily before, and never sampled worse than needed.
 
 use super::camera::{Camera, Distortion};
+use super::colmap;
 use super::error::CaptureError;
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3};
 use serde_json::{Map, Value};
@@ -282,6 +284,13 @@ fn kind(value: &Value) -> String {
 impl Manifest {
     /// Reads the manifest of a capture, given its folder or the file itself.
     pub(super) fn read(path: &Path) -> Result<Self, CaptureError> {
+        let own = path.join("transforms.json");
+        if !own.exists()
+            && let Some(images) = colmap::locate(path)
+        {
+            let value = colmap::read(path, &images)?;
+            return Self::from_value(&value, images, path.to_owned());
+        }
         let file = locate(path)?;
         let bytes = std::fs::read(&file).map_err(|source| CaptureError::Unreadable {
             path: file.clone(),
@@ -301,7 +310,12 @@ impl Manifest {
         folder: PathBuf,
     ) -> Result<Self, CaptureError> {
         let value = parse_json(bytes, &path)?;
-        let top = Fields::of(&path, "", &value)?;
+        Self::from_value(&value, path, folder)
+    }
+
+    /// Takes what a manifest states.
+    fn from_value(value: &Value, path: PathBuf, folder: PathBuf) -> Result<Self, CaptureError> {
+        let top = Fields::of(&path, "", value)?;
         let applied = applied_transform(&top)?;
         let undo = applied.map(|m| m.inverse());
         let list = top.list("frames")?.filter(|list| !list.is_empty());
@@ -348,14 +362,7 @@ fn locate(path: &Path) -> Result<PathBuf, CaptureError> {
     if file.is_file() {
         return Ok(file);
     }
-    let colmap = ["cameras.txt", "cameras.bin", "sparse/0", "sparse"]
-        .iter()
-        .any(|name| path.join(name).exists());
-    let advice = if colmap {
-        "it looks like a COLMAP model: convert it with nerfstudio's ns-process-data or instant-ngp's colmap2nerf"
-    } else {
-        "it needs the nerfstudio file that lists images and cameras"
-    };
+    let advice = "it needs the nerfstudio file that lists images and cameras, or a COLMAP model";
     Err(CaptureError::NoManifest {
         path: path.to_owned(),
         advice: advice.to_owned(),

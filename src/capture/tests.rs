@@ -960,8 +960,93 @@ fn missing_folders_and_manifests_are_named() {
     let message = |path: &Path| Capture::load(path).expect_err("bad").to_string();
     assert!(message(&folder.path().join("nowhere")).contains("nowhere: no such file or folder"));
     assert!(message(folder.path()).contains("no transforms.json"));
-    fs::create_dir(folder.path().join("sparse")).expect("folder");
     assert!(message(folder.path()).contains("COLMAP"));
+}
+
+/// The fixture's view, turned, as a COLMAP model in `sparse/0`: the capture that it should give.
+fn colmap_fixture(binary: bool) -> (Fixture, Camera) {
+    let mut fixture = Fixture::new();
+    let pose = DMat4::from_rotation_y(0.2) * DMat4::from_translation(DVec3::new(0.1, 0.2, 5.0));
+    fixture.manifest["frames"][0]["transform_matrix"] = rows(pose);
+    for (key, value) in [("k1", 0.1), ("k2", -0.02), ("p1", 0.001), ("p2", 0.002)] {
+        fixture.manifest[key] = json!(value);
+    }
+    fixture.manifest["camera_model"] = json!("OPENCV");
+    let expected = fixture.camera();
+    fs::remove_file(fixture.folder.path().join("transforms.json")).expect("remove");
+    let flipped = pose * DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
+    let inverse = flipped.inverse();
+    let q = glam::DQuat::from_mat4(&inverse);
+    let t = inverse.w_axis;
+    fs::create_dir_all(fixture.folder.path().join("sparse/0")).expect("folder");
+    fs::create_dir(fixture.folder.path().join("images")).expect("folder");
+    fixture.write("images/a b.exr", bytes("rgba_half_zip.exr"));
+    let lens = [8.0_f64, 8.0, 4.0, 3.0, 0.1, -0.02, 0.001, 0.002];
+    if !binary {
+        let lens = lens.map(|v| v.to_string()).join(" ");
+        fixture.write(
+            "sparse/0/cameras.txt",
+            format!("# cameras\n7 OPENCV 8 6 {lens}\n"),
+        );
+        let image = format!("{} {} {} {} {} {} {}", q.w, q.x, q.y, q.z, t.x, t.y, t.z);
+        fixture.write(
+            "sparse/0/images.txt",
+            format!("# images\n3 {image} 7 a b.exr\n\n"),
+        );
+        return (fixture, expected);
+    }
+    let mut cameras = 1_u64.to_le_bytes().to_vec();
+    cameras.extend([7_u32, 4].iter().flat_map(|v| v.to_le_bytes()));
+    cameras.extend([8_u64, 6].iter().flat_map(|v| v.to_le_bytes()));
+    cameras.extend(lens.iter().flat_map(|v| v.to_le_bytes()));
+    fixture.write("sparse/0/cameras.bin", cameras);
+    let mut images = 1_u64.to_le_bytes().to_vec();
+    images.extend(3_u32.to_le_bytes());
+    let pose = [q.w, q.x, q.y, q.z, t.x, t.y, t.z];
+    images.extend(pose.iter().flat_map(|v| v.to_le_bytes()));
+    images.extend(7_u32.to_le_bytes());
+    images.extend(b"a b.exr\0");
+    images.extend(2_u64.to_le_bytes());
+    images.extend([1; 48]);
+    fixture.write("sparse/0/images.bin", images);
+    (fixture, expected)
+}
+
+#[test]
+fn colmap_models_are_captures() {
+    for binary in [false, true] {
+        let (fixture, expected) = colmap_fixture(binary);
+        let capture = Capture::load(fixture.folder.path()).expect("a capture");
+        let camera = &capture.views[0].camera;
+        assert_eq!(capture.views[0].name, "images/a b.exr");
+        assert_eq!(camera.distortion, expected.distortion);
+        assert_eq!(
+            (camera.focal, camera.centre),
+            (expected.focal, expected.centre)
+        );
+        assert_close(camera.position(), expected.position(), 1e-9);
+        assert_close(camera.up(), expected.up(), 1e-9);
+        assert_close(camera.forward(), expected.forward(), 1e-9);
+    }
+}
+
+#[test]
+fn damaged_colmap_models_never_panic() {
+    let mut random = Random(9);
+    for (binary, names) in [
+        (false, ["sparse/0/cameras.txt", "sparse/0/images.txt"]),
+        (true, ["sparse/0/cameras.bin", "sparse/0/images.bin"]),
+    ] {
+        let (fixture, _) = colmap_fixture(binary);
+        for name in names {
+            let whole = fs::read(fixture.folder.path().join(name)).expect("model");
+            for _ in 0..200 {
+                fixture.write(name, damaged(&whole, &mut random));
+                let _ = Capture::load(fixture.folder.path());
+            }
+            fixture.write(name, whole);
+        }
+    }
 }
 
 #[test]

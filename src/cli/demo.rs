@@ -13,7 +13,7 @@ use super::solve::{EstimationArgs, describe, solve_capture};
 use super::{OutputArgs, print_json, print_line};
 use crate::capture::{Camera, Capture};
 use crate::relight::Edit;
-use crate::solution::{Solution, Staging};
+use crate::solution::{Solution, SolutionError, Staging};
 
 /// Where the demo is written, in the current folder.
 const FOLDER: &str = "rekindle-demo";
@@ -70,7 +70,14 @@ pub(super) fn run(output: OutputArgs) -> anyhow::Result<()> {
     "demo".clone_into(&mut capture.name);
     let load_s = started.elapsed().as_secs_f64();
     let solution = solve_capture(&capture, load_s, &EstimationArgs::default(), &mut progress)?;
-    solution.save(&staging.path().join("solution"))?;
+    let saved = solution.save(&staging.path().join("solution"));
+    saved.map_err(|error| match error {
+        SolutionError::Write { source, .. } => SolutionError::Write {
+            path: folder.to_owned(),
+            source,
+        },
+        other => other,
+    })?;
     let pictures = take_pictures(&solution, &capture.views[0].camera, &staging, &mut progress)?;
     staging.replace().with_context(|| cannot_write(folder))?;
     progress.finish();
