@@ -7,12 +7,13 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::ambient::{Lit, ambient_irradiance};
 use super::diffuse::DiffuseTexture;
-use super::fill::fill;
+use super::fill::{Places, fill};
 use super::interreflection::Interreflection;
 use super::irradiance::texel_irradiance;
 use super::render::Scene;
-use super::shading::Shader;
+use super::shading::{Shader, ambient_gain};
 use crate::surface::Atlas;
 
 /// Irradiance below this part of the typical one says nothing about the albedo …
@@ -51,6 +52,8 @@ pub fn separate(
             &mut irradiance,
         );
     }
+    let places = Places::new(scene.mesh);
+    let ambient = add_ambient(scene, atlas, &places, texture, &mut irradiance);
     let typical = typical_irradiance(atlas, &irradiance);
     let texels = texture.radiance.len();
     let mut albedo = vec![Vec3::ZERO; texels];
@@ -61,14 +64,15 @@ pub fn separate(
         if texture.confidence[t] < SEEN {
             continue;
         }
-        let light = irradiance[t].min_element();
+        let light = irradiance[t].element_sum() / 3.0;
         let part = ((light / typical - DARK) / (LIT - DARK)).clamp(0.0, 1.0);
         if part > 0.0 {
-            albedo[t] = Vec3::from(texture.radiance[t]) / irradiance[t];
+            albedo[t] = quotient(texture.radiance[t].into(), irradiance[t]);
             known[t] = part * part * (3.0 - 2.0 * part);
         }
     }
-    let filled = fill(scene, atlas, &albedo, &known, &texture.confidence);
+    let weight = |t: usize| known[t] * texture.confidence[t];
+    let filled = fill(scene.mesh, &places, atlas, &albedo, &weight);
     for (texel, fill) in atlas.texels.iter().zip(filled) {
         let t = texel.index as usize;
         albedo[t] = albedo[t] * known[t] + fill * (1.0 - known[t]);
@@ -82,8 +86,59 @@ pub fn separate(
     Albedo {
         albedo: albedo.iter().map(Vec3::to_array).collect(),
         irradiance: irradiance.iter().map(Vec3::to_array).collect(),
-        ambient: Vec3::ZERO,
+        ambient,
     }
+}
+
+/// Radiance ÷ irradiance. A channel in which hardly any light arrives takes what the others say.
+fn quotient(radiance: Vec3, irradiance: Vec3) -> Vec3 {
+    let enough = DARK * irradiance.max_element();
+    let dim = irradiance.cmplt(Vec3::splat(enough));
+    let quotient = radiance / irradiance.max(Vec3::splat(enough));
+    let lit = 3 - dim.bitmask().count_ones();
+    let others = Vec3::select(dim, Vec3::ZERO, quotient).element_sum() / lit as f32;
+    Vec3::select(dim, Vec3::splat(others), quotient)
+}
+
+/// Adds the ambient light's irradiance and returns its radiance. An object without any lamp is taken to be lit by ambient
+/// light alone, its albedo to be one half in the mean: the light's scale is open then.
+fn add_ambient(
+    scene: &Scene,
+    atlas: &Atlas,
+    places: &Places,
+    texture: &DiffuseTexture,
+    irradiance: &mut [Vec3],
+) -> Vec3 {
+    let weight = |t: usize| texture.confidence[t];
+    let radiance = |t: usize| Vec3::from(texture.radiance[t]);
+    let ambient = if irradiance.iter().all(|&e| e == Vec3::ZERO) {
+        let mut mean = Mean::default();
+        for texel in atlas.texels.iter().filter(|t| !t.gutter) {
+            mean.add(radiance(texel.index as usize), weight(texel.index as usize));
+        }
+        Vec3::splat(2.0 * mean.value().element_sum() / 3.0)
+    } else {
+        let light = |t: usize| irradiance[t];
+        let lit: Vec<Option<Lit>> = places
+            .gather(scene.mesh, atlas, &radiance, &weight)
+            .into_iter()
+            .zip(places.gather(scene.mesh, atlas, &light, &weight))
+            .map(|(radiance, irradiance)| {
+                Some(Lit {
+                    radiance: radiance?,
+                    irradiance: irradiance?,
+                })
+            })
+            .collect();
+        let typical = typical_irradiance(atlas, irradiance);
+        ambient_irradiance(&lit, &|place| places.around(place), typical)
+    };
+    if ambient != Vec3::ZERO {
+        for texel in &atlas.texels {
+            irradiance[texel.index as usize] += ambient;
+        }
+    }
+    ambient / ambient_gain(scene.brdf)
 }
 
 /// Adds what the surface itself sends: its radiance is known from the pictures, and taken for the mean where it is not.

@@ -1,55 +1,90 @@
 //! Fills what no view saw, or no light reached, from its surroundings.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::albedo::Mean;
-use super::render::Scene;
 use crate::capture::Mesh;
 use crate::surface::Atlas;
 
 /// Rounds of diffusion at most: each carries values one edge further.
 const MAX_ROUNDS: usize = 400;
 
+/// The mesh's vertices by where they are: vertices at one place are one, whatever their normals and texture coordinates.
+pub(super) struct Places {
+    /// Place of each vertex.
+    of: Vec<u32>,
+    /// Places joined to place `i` by an edge: `list[starts[i]..starts[i + 1]]`.
+    starts: Vec<u32>,
+    list: Vec<u32>,
+}
+
+impl Places {
+    pub(super) fn new(mesh: &Mesh) -> Self {
+        let of = weld(&mesh.positions);
+        let count = of.iter().map(|&w| w as usize + 1).max().unwrap_or(0);
+        let (starts, list) = neighbours(mesh, &of, count);
+        Self { of, starts, list }
+    }
+
+    pub(super) fn count(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Places joined to a place by an edge.
+    pub(super) fn around(&self, place: usize) -> &[u32] {
+        &self.list[self.starts[place] as usize..self.starts[place + 1] as usize]
+    }
+
+    /// Weighted mean around each place of what texels have; `None` where they have no weight.
+    pub(super) fn gather(
+        &self,
+        mesh: &Mesh,
+        atlas: &Atlas,
+        value: &dyn Fn(usize) -> Vec3,
+        weight: &dyn Fn(usize) -> f32,
+    ) -> Vec<Option<Vec3>> {
+        let mut sums = vec![(DVec3::ZERO, 0.0_f64); self.count()];
+        for texel in atlas.texels.iter().filter(|t| !t.gutter) {
+            let t = texel.index as usize;
+            let w = f64::from(weight(t));
+            if w == 0.0 {
+                continue;
+            }
+            let value = value(t).as_dvec3();
+            let (u, v) = (texel.barycentric.x, texel.barycentric.y);
+            let corners = mesh.triangles[texel.triangle as usize];
+            for (corner, share) in corners.into_iter().zip([1.0 - u - v, u, v]) {
+                let (sum, total) = &mut sums[self.of[corner as usize] as usize];
+                let w = w * f64::from(share.max(0.0));
+                *sum += value * w;
+                *total += w;
+            }
+        }
+        sums.into_iter()
+            .map(|(sum, total)| (total > 1e-6).then(|| (sum / total).as_vec3()))
+            .collect()
+    }
+}
+
 /// For every entry of `atlas.texels`, what its surroundings say about its albedo: known values are gathered at the
 /// vertices, spread over the mesh's edges to those without, and interpolated.
 pub(super) fn fill(
-    scene: &Scene,
+    mesh: &Mesh,
+    places: &Places,
     atlas: &Atlas,
     albedo: &[Vec3],
-    known: &[f32],
-    confidence: &[f32],
+    weight: &dyn Fn(usize) -> f32,
 ) -> Vec<Vec3> {
-    let mesh = scene.mesh;
-    // Vertices at one place are one, whatever their normals and texture coordinates.
-    let welded = weld(&mesh.positions);
-    let places = welded.iter().map(|&w| w as usize + 1).max().unwrap_or(0);
-    let mut sum = vec![glam::DVec3::ZERO; places];
-    let mut weight = vec![0.0_f64; places];
+    let mut value = places.gather(mesh, atlas, &|t| albedo[t], weight);
     let mut mean = Mean::default();
     for texel in atlas.texels.iter().filter(|t| !t.gutter) {
         let t = texel.index as usize;
-        let w = f64::from(known[t] * confidence[t]);
-        if w == 0.0 {
-            continue;
-        }
-        let value = albedo[t].as_dvec3();
-        mean.add(albedo[t], known[t] * confidence[t]);
-        let (u, v) = (texel.barycentric.x, texel.barycentric.y);
-        let corners = mesh.triangles[texel.triangle as usize];
-        for (corner, share) in corners.into_iter().zip([1.0 - u - v, u, v]) {
-            let place = welded[corner as usize] as usize;
-            let w = w * f64::from(share.max(0.0));
-            sum[place] += value * w;
-            weight[place] += w;
-        }
+        mean.add(albedo[t], weight(t));
     }
     let mean = mean.value();
-    let mut value: Vec<Option<Vec3>> = (0..places)
-        .map(|p| (weight[p] > 1e-6).then(|| (sum[p] / weight[p]).as_vec3()))
-        .collect();
     let fixed: Vec<bool> = value.iter().map(Option::is_some).collect();
-    diffuse_over_edges(&neighbours(mesh, &welded, places), &mut value, &fixed);
+    diffuse_over_edges(places, &mut value, &fixed);
     atlas
         .texels
         .par_iter()
@@ -61,7 +96,7 @@ pub(super) fn fill(
             let corners = mesh.triangles[texel.triangle as usize];
             let (mut sum, mut total) = (Vec3::ZERO, 0.0);
             for (corner, share) in corners.into_iter().zip([(1.0 - u - v).max(0.0), u, v]) {
-                if let Some(value) = value[welded[corner as usize] as usize] {
+                if let Some(value) = value[places.of[corner as usize] as usize] {
                     sum += value * share;
                     total += share;
                 }
@@ -109,14 +144,10 @@ fn neighbours(mesh: &Mesh, welded: &[u32], places: usize) -> (Vec<u32>, Vec<u32>
 }
 
 /// Spreads values from the fixed places: first outwards, ring by ring, then smoothed towards the mean of neighbours.
-fn diffuse_over_edges(
-    (starts, list): &(Vec<u32>, Vec<u32>),
-    value: &mut [Option<Vec3>],
-    fixed: &[bool],
-) {
-    let around = |p: usize| &list[starts[p] as usize..starts[p + 1] as usize];
+fn diffuse_over_edges(places: &Places, value: &mut [Option<Vec3>], fixed: &[bool]) {
     let mean = |value: &[Option<Vec3>], p: usize| {
-        let known: Vec<Vec3> = around(p)
+        let known: Vec<Vec3> = places
+            .around(p)
             .iter()
             .filter_map(|&n| value[n as usize])
             .collect();

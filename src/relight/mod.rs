@@ -2,6 +2,7 @@
 //! renderer.
 
 mod albedo;
+mod ambient;
 mod diffuse;
 mod edits;
 mod environment;

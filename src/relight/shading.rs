@@ -321,12 +321,11 @@ impl<'a> Shader<'a> {
             }
             Some(group)
         }));
-        let transmittance = brdf.map_or(1.0, mean_transmittance);
         Self {
             occluder,
             brdf,
             groups,
-            ambient: lighting.ambient * std::f32::consts::PI * transmittance,
+            ambient: lighting.ambient * ambient_gain(brdf),
             support: brdf.map_or(0.0, |b| b.half_angle_support(LOBE_CUTOFF)),
         }
     }
@@ -624,6 +623,11 @@ fn in_lobe(axis: Vec3, reach: f32, normal: Vec3, view: Vec3, support: f32) -> bo
     let turn = reach / (length - reach).max(1e-3);
     let limit = support + turn;
     limit >= std::f32::consts::FRAC_PI_2 || sum.dot(normal) > length * limit.cos()
+}
+
+/// Irradiance, transmittance inside, by unit radiance from everywhere.
+pub(super) fn ambient_gain(brdf: Option<Brdf>) -> f32 {
+    std::f32::consts::PI * brdf.map_or(1.0, mean_transmittance)
 }
 
 /// ∫ T(cos θ) cos θ dω / π over the hemisphere: the transmittance of uniform light.
