@@ -92,6 +92,7 @@ pub fn solve(
             limit: VOTING_POINTS,
             keep: &|_, _, _| true,
             scale: Some(solver.coarse.scale),
+            stop: solver.stop,
         },
     );
     subtract_minimum(&mut all);
@@ -115,6 +116,7 @@ pub fn solve(
         near: solver.near,
         visibility: Vec::new(),
         diffuse_known: true,
+        stop: solver.stop,
     };
     design.visibility = cell_visibility(&design, solver.pyramid, &cells, &brdf, solver.occluder);
     let variation = TotalVariation::new(solver.pyramid, &cells);

@@ -5,6 +5,8 @@
 //! point's rows; putting it back subtracts from each row t_v times that mean, of a and of y alike. What remains is
 //! linear in L alone.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use faer::linalg::matmul::triangular::{BlockStructure, matmul};
 use faer::{Accum, Mat, MatRef, Par};
 use glam::Vec3;
@@ -37,6 +39,8 @@ pub struct Design<'a> {
     pub visibility: Vec<f32>,
     /// Whether the rows' diffuse part has been subtracted already, so that nothing is left to eliminate.
     pub diffuse_known: bool,
+    /// Once this is set, long sums end where they are, and what they give is of no use.
+    pub stop: &'a AtomicBool,
 }
 
 /// Normal equations of the eliminated system, for the three channels.
@@ -145,6 +149,9 @@ impl Design<'_> {
         let mut arrival = Arrival::new(n);
         let mut block: Vec<f32> = Vec::new();
         for start in (first..last).step_by(BLOCK) {
+            if self.stop.load(Ordering::Relaxed) {
+                break;
+            }
             block.clear();
             for index in start..(start + BLOCK).min(last) {
                 let point = &self.observations.points[index];
@@ -250,6 +257,9 @@ impl Design<'_> {
                 let mut arrival = Arrival::new(n);
                 let mut block = Vec::new();
                 for index in first..last {
+                    if self.stop.load(Ordering::Relaxed) {
+                        break;
+                    }
                     let point = &self.observations.points[index];
                     self.arrival(index, point, &mut arrival);
                     self.fill_point(brdf, point, &arrival, &mut block);
@@ -378,11 +388,32 @@ pub fn light_from(near: Option<(Vec3, f32)>, direction: Vec3, position: Vec3) ->
     }
 }
 
-/// The lobe blurred by a cell's extent, and dσ_blurred/dσ.
-#[inline(always)]
-fn widen(brdf: &Brdf, spread: f32) -> (Brdf, f32) {
-    let sigma = (brdf.sigma * brdf.sigma + spread).sqrt();
-    (Brdf { sigma, ..*brdf }, brdf.sigma / sigma)
+/// A lobe blurred by the extent of a cell, as its mean over the cell: the Gaussian of variance σ² becomes wider and, as
+/// its integral stays, lower.
+#[derive(Clone, Copy)]
+struct Blurred {
+    brdf: Brdf,
+    /// Its height over the sharp lobe's, σ²/σ_blurred².
+    height: f32,
+    /// dσ_blurred/dσ.
+    by_sigma: f32,
+}
+
+impl Blurred {
+    #[inline(always)]
+    fn new(brdf: &Brdf, spread: f32) -> Self {
+        let variance = brdf.sigma * brdf.sigma;
+        let inverse = 1.0 / (variance + spread);
+        let ratio = (variance * inverse).sqrt();
+        Self {
+            brdf: Brdf {
+                sigma: brdf.sigma / ratio,
+                ..*brdf
+            },
+            height: variance * inverse,
+            by_sigma: ratio,
+        }
+    }
 }
 
 /// One row of the matrix: gain × lobe for each cell, and its derivative by σ if wanted.
@@ -417,15 +448,22 @@ impl<const MICROFACET: bool> pulp::WithSimd for RowKernel<'_, MICROFACET> {
         if let Some(by_sigma) = self.by_sigma {
             let by_sigma = &mut by_sigma[..n];
             for c in 0..n {
-                let (widened, chain) = widen(&brdf, spread[c]);
-                let lobe = widened.lobe_with_derivative(self.terms, Vec3::new(x[c], y[c], z[c]));
-                self.value[c] = gain[c] * lobe.value;
-                by_sigma[c] = gain[c] * chain * lobe.by_sigma;
+                let blurred = Blurred::new(&brdf, spread[c]);
+                let lobe = blurred
+                    .brdf
+                    .lobe_with_derivative(self.terms, Vec3::new(x[c], y[c], z[c]));
+                let gain = gain[c] * blurred.height;
+                self.value[c] = gain * lobe.value;
+                // The height's own derivative is 2/σ · height · (1 − height).
+                by_sigma[c] = gain
+                    * (blurred.by_sigma * lobe.by_sigma
+                        + 2.0 / self.sigma * (1.0 - blurred.height) * lobe.value);
             }
         } else {
             for c in 0..n {
-                let (widened, _) = widen(&brdf, spread[c]);
-                self.value[c] = gain[c] * widened.lobe(self.terms, Vec3::new(x[c], y[c], z[c]));
+                let blurred = Blurred::new(&brdf, spread[c]);
+                let lobe = blurred.brdf.lobe(self.terms, Vec3::new(x[c], y[c], z[c]));
+                self.value[c] = gain[c] * blurred.height * lobe;
             }
         }
     }

@@ -1,6 +1,6 @@
 //! When the data can't say: no separation, no specular part, nothing that determines it.
 
-use super::fast::Fit;
+use super::fast::{CoarseFit, Fit};
 use super::observations::Observations;
 use super::state::State;
 use crate::capture::Capture;
@@ -16,6 +16,12 @@ pub const LEAST_EXPLAINED: f64 = 0.15;
 
 /// Relative standard error of σ past which it counts as undetermined.
 const LARGEST_RELATIVE_ERROR: f32 = 0.3;
+
+/// A lobe wider than this, in radians, is no highlight: it spans most of the hemisphere.
+const WIDEST_LOBE: f32 = 0.5;
+
+/// Gain of the best of the roughnesses over the broadest below which none of them stands out.
+const LEAST_SHARPNESS: f64 = 0.05;
 
 /// What is said where no specular part is found.
 pub const NO_SPECULAR: &str = "No specular part was found: the views differ by no more than noise, as those of a purely diffuse object \
@@ -55,12 +61,18 @@ pub fn no_specular(state: &State<'_>) -> Option<String> {
         .then(|| NO_SPECULAR.to_owned())
 }
 
+/// What is said where the light has no detail.
+const NO_DETAIL: &str = "The lighting has no detail sharp enough to tell its own blur from the surface's roughness, as under a uniform \
+    sky. Everything is taken as diffuse; add a lamp or photograph under light with an edge.";
+
+/// Why a coarse fit's lobe is no highlight, if it isn't: any other would do about as well, or it spans the hemisphere.
+pub fn not_sharp(coarse: &CoarseFit<'_>) -> Option<String> {
+    let broad = coarse.state.brdf.sigma > WIDEST_LOBE;
+    (broad || coarse.sharpness < LEAST_SHARPNESS).then(|| NO_DETAIL.to_owned())
+}
+
 /// Why roughness and lighting are not determined by a fit, if they aren't.
 pub fn undetermined(fit: &Fit) -> Option<String> {
     let relative = fit.sigma_error / fit.brdf.sigma;
-    (!relative.is_finite() || relative > LARGEST_RELATIVE_ERROR).then(|| {
-        "The lighting has no detail sharp enough to tell its own blur from the surface's roughness, as under a \
-         uniform sky. Everything is taken as diffuse; add a lamp or photograph under light with an edge."
-            .to_owned()
-    })
+    (!relative.is_finite() || relative > LARGEST_RELATIVE_ERROR).then(|| NO_DETAIL.to_owned())
 }

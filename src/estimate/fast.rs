@@ -7,6 +7,7 @@
 //! are split down to single nodes. Only surface points that could show one of the lit cells take part from then on.
 
 use std::collections::BTreeSet;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use glam::Vec3;
@@ -24,7 +25,15 @@ use crate::hemisphere::HemisphereGrid;
 use crate::surface::{Occluder, ViewSurface};
 
 /// Roughnesses compared on the coarsest cells, radians.
-const SIGMAS: [f32; 6] = [0.03, 0.05, 0.08, 0.13, 0.21, 0.34];
+const SIGMAS: [f32; 6] = [0.34, 0.21, 0.13, 0.08, 0.05, 0.03];
+
+/// This many roughnesses in a row that leave so many times as much as the best so far end the comparison.
+const CLEARLY_WORSE: f64 = 1.1;
+const TIMES_WORSE: usize = 2;
+
+/// How much shorter or longer than Gauss-Newton's a step of σ may be.
+const MOST_SHORTENED: f64 = 0.5;
+const MOST_LENGTHENED: f64 = 4.0;
 
 /// Frequency of the coarsest grid.
 pub const COARSEST: u32 = 11;
@@ -65,6 +74,14 @@ pub struct Fit {
     pub sigma_error: f32,
 }
 
+/// The best fit on the coarsest cells.
+pub struct CoarseFit<'a> {
+    /// The fit.
+    pub state: State<'a>,
+    /// How much of what the broadest lobe leaves unexplained the best one explains, in [0, 1].
+    pub sharpness: f64,
+}
+
 /// All that a fit works on.
 pub struct Solver<'a> {
     /// Photographs, cameras and mesh.
@@ -83,6 +100,25 @@ pub struct Solver<'a> {
     pub coarse: Observations,
     /// The clock that iterations are timed by.
     pub started: Instant,
+    /// Set once the observer wants no more.
+    pub stop: &'a AtomicBool,
+}
+
+/// The step of σ, corrected by how the slope changed since the step before.
+///
+/// A Gauss-Newton step takes the dark cells as dark for good. Where cells go dark or light up as σ moves, f is flatter
+/// than that, and the secant through the last two slopes says by how much.
+fn lengthened(before: Option<(f64, SigmaStep)>, sigma: f64, step: &SigmaStep) -> f64 {
+    let Some((last_sigma, last)) = before else {
+        return step.step;
+    };
+    let secant = step.slope * (sigma - last_sigma) / (last.slope - step.slope);
+    let ratio = secant / step.step;
+    if ratio.is_finite() {
+        step.step * ratio.clamp(MOST_SHORTENED, MOST_LENGTHENED)
+    } else {
+        step.step
+    }
 }
 
 /// A watched solve: every step is counted, timed and reported.
@@ -95,12 +131,17 @@ pub struct Watch<'w> {
 
 impl Solver<'_> {
     /// Points for the coarsest cells.
-    pub fn coarse_observations(capture: &Capture, surfaces: &[ViewSurface]) -> Observations {
+    pub fn coarse_observations(
+        capture: &Capture,
+        surfaces: &[ViewSurface],
+        stop: &AtomicBool,
+    ) -> Observations {
         let sampling = Sampling {
             candidates: COARSE_POINTS,
             limit: COARSE_POINTS,
             keep: &|_, _, _| true,
             scale: None,
+            stop,
         };
         Observations::gather(capture, surfaces, &sampling).to_gray()
     }
@@ -110,7 +151,7 @@ impl Solver<'_> {
         &self,
         model: SpecularModel,
         watch: &mut Watch<'_>,
-    ) -> Result<State<'_>, Stopped> {
+    ) -> Result<CoarseFit<'_>, Stopped> {
         let sigma = SIGMAS[0];
         let roots = self.pyramid.roots();
         let dark = State::new(
@@ -119,24 +160,34 @@ impl Solver<'_> {
             Brdf { model, sigma },
         );
         let mut best: Option<(f64, State<'_>)> = None;
+        let mut broadest = None;
+        let mut worse = 0;
         for (k, sigma) in SIGMAS.into_iter().enumerate() {
             let done = 0.3 * k as f32 / SIGMAS.len() as f32;
             go_on(watch.observer.progress("comparing roughnesses", done))?;
             let mut state = dark.clone();
             state.brdf.sigma = sigma;
             state.solve_lights(ROUGH);
-            // The mean absolute residual needs no noise level, which no fit has given yet.
-            let cost = state.residuals.absolute_sum();
-            if best.as_ref().is_some_and(|(c, _)| cost > 2.0 * *c) {
+            let cost = state.unexplained();
+            broadest.get_or_insert(cost);
+            if best
+                .as_ref()
+                .is_some_and(|(c, _)| cost > CLEARLY_WORSE * *c)
+            {
+                worse += 1;
+            }
+            if worse == TIMES_WORSE {
                 break;
             }
             if best.as_ref().is_none_or(|(c, _)| cost < *c) {
                 best = Some((cost, state));
+                worse = 0;
             }
         }
-        let mut state = best.map_or(dark, |(_, s)| s);
+        let (cost, mut state) = best.unwrap_or((f64::INFINITY, dark));
+        let sharpness = 1.0 - cost / broadest.unwrap_or(cost).max(f64::MIN_POSITIVE);
         self.improve(&mut state, 4, ROUGH, watch)?;
-        Ok(state)
+        Ok(CoarseFit { state, sharpness })
     }
 
     /// Goes on from a coarse fit to single nodes.
@@ -144,7 +195,7 @@ impl Solver<'_> {
         let gray = self.fine_observations(coarse, MIDDLE_POINTS).to_gray();
         let colour = self.fine_observations(coarse, FINE_POINTS);
         let mut state = coarse.clone();
-        let mut step = None;
+        let mut error = f64::INFINITY;
         for level in 1..=self.pyramid.finest() {
             go_on(watch.observer.progress(
                 "splitting lit cells",
@@ -152,15 +203,18 @@ impl Solver<'_> {
             ))?;
             let last = level == self.pyramid.finest();
             state = self.refine(&state, if last { &colour } else { &gray });
-            let (rounds, precision) = if last { (8, EXACT) } else { (4, ROUGH) };
+            let (rounds, precision) = if last { (10, EXACT) } else { (4, ROUGH) };
             state.solve_lights(precision);
             if last {
                 self.improve(&mut state, 2, precision, watch)?;
                 state = self.narrow(&state);
             }
-            step = Some(self.improve(&mut state, rounds, precision, watch)?);
+            let step = self.improve(&mut state, rounds, precision, watch)?;
+            if last {
+                error = state.settle_sigma(&step, precision);
+                self.report(&state, watch)?;
+            }
         }
-        state.solve_lights(EXACT);
         let scale = self.coarse.scale;
         let mut nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
         for value in nodes.iter_mut().flatten() {
@@ -169,7 +223,7 @@ impl Solver<'_> {
         Ok(Fit {
             brdf: state.brdf,
             nodes: fill_compact_lamps(self.grid, state.brdf.sigma, &nodes),
-            sigma_error: step.map_or(f32::INFINITY, |s| s.error as f32),
+            sigma_error: error as f32,
         })
     }
 
@@ -182,13 +236,17 @@ impl Solver<'_> {
         watch: &mut Watch<'_>,
     ) -> Result<SigmaStep, Stopped> {
         let mut round = 0;
+        let mut before: Option<(f64, SigmaStep)> = None;
         loop {
             state.reweight();
             state.solve_lights(precision);
             let step = state.sigma_step();
             self.report(state, watch)?;
-            let limit = 0.3 * f64::from(state.brdf.sigma);
-            let change = step.step.clamp(-limit, limit);
+            let sigma = f64::from(state.brdf.sigma);
+            let limit = 0.3 * sigma;
+            let change = lengthened(before, sigma, &step).clamp(-limit, limit);
+            // While the weights still settle, slopes of two rounds belong to two objectives.
+            before = (round > 0).then_some((sigma, step));
             state.brdf.sigma = (f64::from(state.brdf.sigma) + change).clamp(0.003, 1.0) as f32;
             round += 1;
             let settled = change.abs() < 3e-4 * f64::from(state.brdf.sigma);
@@ -205,6 +263,7 @@ impl Solver<'_> {
             near: self.near,
             visibility: Vec::new(),
             diffuse_known: false,
+            stop: self.stop,
         }
     }
 
@@ -233,6 +292,7 @@ impl Solver<'_> {
             limit,
             keep: &keep,
             scale: Some(self.coarse.scale),
+            stop: self.stop,
         };
         Observations::gather(self.capture, self.surfaces, &sampling)
     }

@@ -18,6 +18,10 @@ mod total_variation;
 mod visibility;
 mod weights;
 
+#[cfg(test)]
+mod tests;
+
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
@@ -28,9 +32,10 @@ use crate::surface::{Occluder, ViewSurface};
 
 use alternating::Order;
 use cells::Pyramid;
-use fast::{Fit, Solver, Watch};
+use fast::{CoarseFit, Fit, Solver, Watch};
 pub use model::{Brdf, LobeValue, SpecularModel, ViewTerms};
 pub use observer::{Iteration, Observer, Stopped, Unobserved};
+use observer::{Watcher, watched};
 
 /// How the minimum is sought.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -115,6 +120,23 @@ pub fn estimate(
     params: &EstimateParams,
     observer: &mut dyn Observer,
 ) -> Result<Estimate, Stopped> {
+    watched(observer, |watcher| {
+        let result = run(input, params, watcher)?;
+        // What long sums give after a stop is of no use.
+        if watcher.stop().load(Ordering::Relaxed) {
+            return Err(Stopped);
+        }
+        Ok(result)
+    })
+}
+
+fn run(
+    input: &EstimateInput<'_>,
+    params: &EstimateParams,
+    mut watcher: &Watcher<'_>,
+) -> Result<Estimate, Stopped> {
+    let stop = watcher.stop();
+    let observer: &mut dyn Observer = &mut watcher;
     let grid = input.grid;
     let pyramid = Pyramid::new(grid, fast::COARSEST);
     let solver = Solver {
@@ -124,8 +146,9 @@ pub fn estimate(
         grid,
         pyramid: &pyramid,
         near: grid.radius.map(|r| (grid.centre, r)),
-        coarse: Solver::coarse_observations(input.capture, input.surfaces),
+        coarse: Solver::coarse_observations(input.capture, input.surfaces, stop),
         started: Instant::now(),
+        stop,
     };
     let mut result = Estimate {
         method: params.method,
@@ -154,11 +177,15 @@ pub fn estimate(
         observer,
     };
     let (coarse, because) = choose(&solver, params.specular, &mut watch)?;
-    if let Some(reason) = diagnose::no_specular(&coarse) {
+    if let Some(reason) = diagnose::no_specular(&coarse.state) {
         result.diagnostics.warnings.push(reason);
         return Ok(result);
     }
-    let fit = solver.fine_fit(&coarse, &mut watch)?;
+    if let Some(reason) = diagnose::not_sharp(&coarse) {
+        result.diagnostics.warnings.push(reason);
+        return Ok(result);
+    }
+    let fit = solver.fine_fit(&coarse.state, &mut watch)?;
     result.chosen_because = because;
     accept(&mut result, fit);
     Ok(result)
@@ -216,14 +243,14 @@ fn choose<'s>(
     solver: &'s Solver<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
-) -> Result<(state::State<'s>, String), Stopped> {
+) -> Result<(CoarseFit<'s>, String), Stopped> {
     if let SpecularChoice::Model(model) = choice {
         let fit = solver.coarse_fit(model, watch)?;
         return Ok((fit, "it was asked for".to_owned()));
     }
     let paper = solver.coarse_fit(SpecularModel::Paper, watch)?;
     let microfacet = solver.coarse_fit(SpecularModel::Microfacet, watch)?;
-    let left = [&paper, &microfacet].map(|s| s.residuals.absolute_sum().max(f64::MIN_POSITIVE));
+    let left = [&paper, &microfacet].map(|s| s.state.unexplained().max(f64::MIN_POSITIVE));
     let (chosen, names, ratio) = if left[0] <= left[1] {
         (
             paper,

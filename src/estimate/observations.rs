@@ -4,6 +4,8 @@
 //! all of them (method notes, section 4). So only points that two views see clearly are taken. Points are spread
 //! evenly over the pixels of all views, at pixel centres of one view and interpolated in the others.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
@@ -63,6 +65,8 @@ pub struct Sampling<'a> {
     pub keep: &'a (dyn Fn(Vec3, Vec3, &[Row]) -> bool + Sync),
     /// Radiance that counts as 1, if it has been chosen already.
     pub scale: Option<f32>,
+    /// Once this is set, no more points are gathered.
+    pub stop: &'a AtomicBool,
 }
 
 impl Observations {
@@ -82,7 +86,12 @@ impl Observations {
                 pixel_grid(&surfaces[view], cell, view)
                     .map(move |(x, y, order)| (order, view, x, y))
             })
-            .filter_map(|(order, view, x, y)| candidate(capture, surfaces, view, [x, y], order))
+            .filter_map(|(order, view, x, y)| {
+                if sampling.stop.load(Ordering::Relaxed) {
+                    return None;
+                }
+                candidate(capture, surfaces, view, [x, y], order)
+            })
             .collect();
         found.retain(|c| c.rows.len() >= 2);
         found.retain(|c| (sampling.keep)(c.position, c.normal, &c.rows));

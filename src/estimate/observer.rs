@@ -1,6 +1,10 @@
 //! How a running solve is watched and stopped.
 
 use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
@@ -23,8 +27,9 @@ pub struct Iteration {
     pub residual_rms: f32,
 }
 
-/// Watches a solve. Every call may stop it by `ControlFlow::Break`; calls come at least every 100 ms.
-pub trait Observer {
+/// Watches a solve. Every call may stop it by `ControlFlow::Break`. Calls come at least every 100 ms, some of them from
+/// another thread than the one that called, but never two at a time.
+pub trait Observer: Send {
     /// `fraction` of the estimation is done, in [0, 1]; `what` says in a few words what it is doing.
     fn progress(&mut self, what: &str, fraction: f32) -> ControlFlow<()>;
 
@@ -48,6 +53,94 @@ impl Observer for Unobserved {
     fn iteration(&mut self, _: &Iteration, _: &dyn Fn() -> Vec<[f32; 3]>) -> ControlFlow<()> {
         ControlFlow::Continue(())
     }
+}
+
+/// How often an observer is asked while a long step goes on.
+const EVERY: Duration = Duration::from_millis(25);
+
+/// Stands between an observer and the work it watches: it remembers what was said last, and that it said stop.
+pub(crate) struct Watcher<'o> {
+    told: Mutex<Told<'o>>,
+    stop: AtomicBool,
+}
+
+struct Told<'o> {
+    observer: &'o mut dyn Observer,
+    what: String,
+    fraction: f32,
+}
+
+impl Watcher<'_> {
+    /// Set once the observer wants no more; long loops look at it.
+    pub(crate) fn stop(&self) -> &AtomicBool {
+        &self.stop
+    }
+
+    fn ask(&self, question: impl FnOnce(&mut Told<'_>) -> ControlFlow<()>) -> ControlFlow<()> {
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.stop.load(Ordering::Relaxed) {
+            return ControlFlow::Break(());
+        }
+        let answer = question(&mut told);
+        if answer.is_break() {
+            self.stop.store(true, Ordering::Relaxed);
+        }
+        answer
+    }
+}
+
+impl Observer for &Watcher<'_> {
+    fn progress(&mut self, what: &str, fraction: f32) -> ControlFlow<()> {
+        self.ask(|told| {
+            what.clone_into(&mut told.what);
+            told.fraction = fraction;
+            told.observer.progress(what, fraction)
+        })
+    }
+
+    fn iteration(
+        &mut self,
+        iteration: &Iteration,
+        hemisphere: &dyn Fn() -> Vec<[f32; 3]>,
+    ) -> ControlFlow<()> {
+        self.ask(|told| told.observer.iteration(iteration, hemisphere))
+    }
+}
+
+/// Does some work while a second thread asks the observer every [`EVERY`] whether to go on. Without that thread, if the
+/// system has none to give, it is asked between the steps only.
+pub(crate) fn watched<T>(observer: &mut dyn Observer, work: impl FnOnce(&Watcher<'_>) -> T) -> T {
+    let watcher = Watcher {
+        told: Mutex::new(Told {
+            observer,
+            what: "starting".to_owned(),
+            fraction: 0.0,
+        }),
+        stop: AtomicBool::new(false),
+    };
+    let again = || {
+        watcher.ask(|told| {
+            let Told { what, fraction, .. } = &*told;
+            let (what, fraction) = (what.clone(), *fraction);
+            told.observer.progress(&what, fraction)
+        })
+    };
+    let (working, done) = sync_channel::<()>(0);
+    std::thread::scope(|scope| {
+        let asking = std::thread::Builder::new()
+            .name("observer".to_owned())
+            .spawn_scoped(scope, move || {
+                while done.recv_timeout(EVERY) == Err(RecvTimeoutError::Timeout) {
+                    if again().is_break() {
+                        return;
+                    }
+                }
+            });
+        drop(asking);
+        let result = work(&watcher);
+        drop(working);
+        result
+    })
 }
 
 /// `?`-friendly form of an observer's answer.

@@ -7,7 +7,7 @@ use super::cells::Cell;
 use super::design::{Design, NormalEquations, Prediction};
 use super::model::Brdf;
 use super::weights::{
-    Residuals, eliminate, initial_weights, residuals, robust_objective, robust_weights,
+    Residuals, eliminate, initial_weights, magnitude, residuals, robust_objective, robust_weights,
     weighted_rms,
 };
 use crate::math::nnls::{self, NnlsParams};
@@ -34,6 +34,13 @@ pub const EXACT: Precision = Precision {
     tolerance: 1e-7,
 };
 
+/// Distance between the roughnesses at which f is looked at, as a share of σ, and how many they are at most.
+const PROBE: f64 = 0.03;
+const MOST_PROBES: usize = 6;
+
+/// Curvature of f as a share of Gauss-Newton's below which what is measured of it is noise.
+const LEAST_CURVATURE: f64 = 0.05;
+
 /// An estimate in progress.
 #[derive(Clone)]
 pub struct State<'a> {
@@ -58,6 +65,10 @@ pub struct State<'a> {
 pub struct SigmaStep {
     /// Change of σ, radians.
     pub step: f64,
+    /// Half the fall of the weighted squared residuals per radian of σ.
+    pub slope: f64,
+    /// Gauss-Newton's share of its change, Σ w z².
+    pub curvature: f64,
     /// Standard error of σ, radians; infinite where the rows do not determine it.
     pub error: f64,
 }
@@ -103,6 +114,7 @@ impl<'a> State<'a> {
         }
         let params = NnlsParams {
             tolerance: precision.tolerance,
+            stop: Some(self.design.stop),
             ..NnlsParams::default()
         };
         let channels = if self.design.observations.gray { 1 } else { 3 };
@@ -125,6 +137,24 @@ impl<'a> State<'a> {
     /// Takes weights from the present residuals.
     pub fn reweight(&mut self) {
         self.weights = robust_weights(&self.design, &self.residuals);
+    }
+
+    /// Mean absolute residual per degree of freedom, by which fits of different roughness and model are compared.
+    ///
+    /// Each lit cell and each diffuse colour takes one degree of freedom (generalised cross-validation; the number
+    /// of positive unknowns is the dimension of a non-negative fit). A lobe that is too narrow lights many cells,
+    /// with which it imitates noise: the plain residual would prefer it. It needs no noise level, which no fit has
+    /// given yet.
+    pub fn unexplained(&self) -> f64 {
+        let lit = self.radiance.iter().filter(|l| l.iter().any(|&v| v > 0.0));
+        let observations = self.design.observations;
+        let known = if self.design.diffuse_known {
+            0
+        } else {
+            observations.points.len()
+        };
+        let freedom = observations.rows.len() as f64 - (known + lit.count()) as f64;
+        self.residuals.absolute_sum() / freedom.max(1.0)
     }
 
     /// Huber's objective at the present noise level.
@@ -155,6 +185,8 @@ impl<'a> State<'a> {
     pub fn sigma_step(&self) -> SigmaStep {
         const UNDETERMINED: SigmaStep = SigmaStep {
             step: 0.0,
+            slope: 0.0,
+            curvature: 0.0,
             error: f64::INFINITY,
         };
         if self.radiance.iter().flatten().all(|&v| v <= 0.0) {
@@ -166,12 +198,20 @@ impl<'a> State<'a> {
             let mut own = 0.0_f64;
             for k in point.rows.clone() {
                 let w = f64::from(self.weights[k]);
-                for (z, r) in unique[k].iter().zip(self.residuals.values[k]) {
+                let at_fixed_lights = self.prediction.by_sigma[k];
+                for ((z, r), d) in unique[k]
+                    .iter()
+                    .zip(self.residuals.values[k])
+                    .zip(at_fixed_lights)
+                {
                     own += w * f64::from(*z) * f64::from(r);
                     curvature += w * f64::from(z * z);
+                    // At the minimum over the lights no lit column correlates with the residuals, and what is
+                    // left of the slope is the derivative at fixed lights. The projected one has the same value in
+                    // exact numbers; in these, large cancelling imitations drown it.
+                    slope += w * f64::from(d) * f64::from(r);
                 }
             }
-            slope += own;
             spread += own * own;
         }
         if curvature <= 0.0 {
@@ -179,8 +219,77 @@ impl<'a> State<'a> {
         }
         SigmaStep {
             step: slope / curvature,
+            slope,
+            curvature,
             error: spread.sqrt() / curvature,
         }
+    }
+
+    /// Moves σ from the minimum of f to that of `f + 2 s² p` with p the number of lit cells and s² the variance of the
+    /// noise, solves the lights there, and returns the standard error of σ; `step` belongs to the present σ.
+    ///
+    /// A narrower lobe lights more cells, and each of them takes away one variance of the noise from f: the minimum of
+    /// f lies below the true σ, the more so the noisier the data. Mallows's Cp counts them (as does
+    /// [`State::unexplained`]). From the minimum upward, at the present weights, f is taken as quadratic and p as
+    /// linear in steps of a few percent. There f also shows its true curvature, which is less than Gauss-Newton's where
+    /// cells go dark and light up.
+    pub fn settle_sigma(&mut self, step: &SigmaStep, precision: Precision) -> f64 {
+        if !step.error.is_finite() {
+            self.solve_lights(precision);
+            return step.error;
+        }
+        let sigma = f64::from(self.brdf.sigma);
+        let away = PROBE * sigma;
+        let variance = step.error * step.error * step.curvature;
+        let mut probe = self.clone();
+        let mut at = |offset: f64| {
+            probe.brdf.sigma = (sigma + offset) as f32;
+            probe.solve_lights(precision);
+            (probe.squares(), probe.lit_unknowns())
+        };
+        let mut here = at(0.0);
+        // f falls at twice the slope of Σ w z r.
+        let mut rise = -2.0 * step.slope;
+        let below = 2.0 * (at(-away).0 - here.0 + rise * away) / (away * away);
+        let mut least = below.min(2.0 * step.curvature);
+        let mut shift = 0.0;
+        for _ in 0..MOST_PROBES {
+            let next = at(shift + away);
+            let curvature = 2.0 * (next.0 - here.0 - rise * away) / (away * away);
+            let excess = rise + 2.0 * variance * (next.1 - here.1) / away;
+            let part = if curvature > 0.0 {
+                (-excess / curvature).max(0.0)
+            } else {
+                away
+            };
+            shift += part.min(away);
+            if part < away {
+                break;
+            }
+            least = least.min(curvature);
+            rise += curvature * away;
+            here = next;
+        }
+        self.brdf.sigma = (sigma + shift) as f32;
+        self.solve_lights(precision);
+        let curvature = (0.5 * least).max(LEAST_CURVATURE * step.curvature);
+        (variance / curvature).sqrt()
+    }
+
+    /// Σ w r² over rows and channels.
+    fn squares(&self) -> f64 {
+        self.weights
+            .iter()
+            .zip(&self.residuals.values)
+            .map(|(&w, &r)| 3.0 * f64::from(w * magnitude(r).powi(2)))
+            .sum()
+    }
+
+    /// Lit cells, counted once per channel that is its own.
+    fn lit_unknowns(&self) -> f64 {
+        let lit = self.radiance.iter().flatten().filter(|&&v| v > 0.0).count();
+        let same = if self.design.observations.gray { 3 } else { 1 };
+        (lit / same) as f64
     }
 
     /// ∂A/∂σ L per row, less its weighted projection onto the lit columns and onto each point's diffuse colour.

@@ -1,6 +1,7 @@
 //! Which cells a surface point sees past the rest of the object.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -42,6 +43,9 @@ pub fn cell_visibility(
         .par_chunks_mut(n.max(1))
         .enumerate()
         .for_each(|(index, out)| {
+            if design.stop.load(Ordering::Relaxed) {
+                return;
+            }
             let point = &design.observations.points[index];
             let rows = &design.observations.rows[point.rows.clone()];
             let origin = occluder.offset_origin(point.position, point.normal);

@@ -1,22 +1,33 @@
 //! Non-negative least squares from normal equations.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use faer::linalg::solvers::Solve;
 use faer::{Col, Mat, MatRef, Side};
 
 /// Limits of [`solve`].
 #[derive(Clone, Copy, Debug)]
-pub struct NnlsParams {
+pub struct NnlsParams<'a> {
     /// Variables that may enter or leave before giving up.
     pub max_exchanges: usize,
     /// A gradient counts as negative below this fraction of the largest right-hand side.
     pub tolerance: f64,
+    /// Once this is set, the solve ends where it is.
+    pub stop: Option<&'a AtomicBool>,
 }
 
-impl Default for NnlsParams {
+impl NnlsParams<'_> {
+    fn stopped(&self) -> bool {
+        self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
+    }
+}
+
+impl Default for NnlsParams<'_> {
     fn default() -> Self {
         Self {
             max_exchanges: 2000,
             tolerance: 1e-9,
+            stop: None,
         }
     }
 }
@@ -26,7 +37,7 @@ impl Default for NnlsParams {
 /// Lawson and Hanson's active-set method on normal equations (Bro and de Jong, "A Fast Non-negativity-constrained
 /// Least Squares Algorithm", 1997). `x` holds a feasible starting point, from which the objective only falls, and
 /// receives the solution. Its cost goes with the number of non-zeros, not with n.
-pub fn solve(gram: MatRef<'_, f64>, rhs: &[f64], x: &mut [f64], params: &NnlsParams) {
+pub fn solve(gram: MatRef<'_, f64>, rhs: &[f64], x: &mut [f64], params: &NnlsParams<'_>) {
     let n = rhs.len();
     assert_eq!(gram.nrows(), n, "one row of the Gram matrix per unknown");
     assert_eq!(x.len(), n, "one start value per unknown");
@@ -41,12 +52,12 @@ pub fn solve(gram: MatRef<'_, f64>, rhs: &[f64], x: &mut [f64], params: &NnlsPar
     // A variable that leaves as soon as it enters was let in by rounding, not by descent.
     let mut rejected = vec![false; n];
     loop {
-        descend(gram, rhs, x, &mut passive, &mut left);
+        descend(gram, rhs, x, &mut passive, &mut left, params);
         let gradient = gradient(gram, rhs, &passive, x);
         let mut entering: Vec<usize> = (0..n)
             .filter(|&i| x[i] <= 0.0 && !rejected[i] && gradient[i] < -threshold)
             .collect();
-        if entering.is_empty() || left == 0 {
+        if entering.is_empty() || left == 0 || params.stopped() {
             return;
         }
         entering.sort_by(|&a, &b| gradient[a].total_cmp(&gradient[b]));
@@ -99,6 +110,7 @@ fn descend(
     x: &mut [f64],
     passive: &mut Vec<usize>,
     left: &mut usize,
+    params: &NnlsParams<'_>,
 ) {
     loop {
         let target = solve_passive(gram, rhs, passive);
@@ -117,7 +129,7 @@ fn descend(
         let largest = passive.iter().fold(0.0_f64, |m, &i| m.max(x[i]));
         let before = passive.len();
         passive.retain(|&i| x[i] > 1e-14 * largest);
-        if passive.len() == before || *left == 0 {
+        if passive.len() == before || *left == 0 || params.stopped() {
             return;
         }
         *left -= 1;
