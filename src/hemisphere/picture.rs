@@ -70,47 +70,58 @@ fn srgb(linear: f32) -> f32 {
     }
 }
 
-/// The hemisphere seen from straight above, `side` pixels square, the horizon its inscribed circle (orthographic), black
-/// outside. With up = +Y, +X is on the right and −Z (north) at the top; with up = +Z, +X and +Y: right is the world's X axis
-/// laid into the horizon (or its Z axis where up is X), and the top is up × right.
-pub fn seen_from_above(grid: &HemisphereGrid, radiance: &[[f32; 3]], side: u32) -> Picture {
-    assert_eq!(
-        radiance.len(),
-        grid.directions.len(),
-        "one radiance per node"
-    );
-    let axis = if grid.up.x.abs() > 0.9 {
-        Vec3::Z
-    } else {
-        Vec3::X
-    };
-    let right = (axis - axis.dot(grid.up) * grid.up).normalize_or_zero();
-    let north = grid.up.cross(right);
-    let fine = (side * SAMPLES) as f32;
-    let pixels = (0..side * side)
-        .into_par_iter()
-        .map(|pixel| {
-            let mut sum = Vec3::ZERO;
-            for sample in 0..SAMPLES * SAMPLES {
-                let column = (pixel % side) * SAMPLES + sample % SAMPLES;
-                let row = (pixel / side) * SAMPLES + sample / SAMPLES;
-                let x = 2.0 * (column as f32 + 0.5) / fine - 1.0;
-                let y = 1.0 - 2.0 * (row as f32 + 0.5) / fine;
-                let squared = x * x + y * y;
-                if squared <= 1.0 {
-                    let direction = x * right + y * north + (1.0 - squared).sqrt() * grid.up;
-                    if let Some(node) = grid.nearest(direction) {
-                        sum += Vec3::from(radiance[node]);
-                    }
-                }
-            }
-            (sum / (SAMPLES * SAMPLES) as f32).to_array()
-        })
-        .collect();
-    Picture {
-        width: side,
-        height: side,
-        radiance: pixels,
+/// Pictures of a hemisphere seen from straight above: which nodes each pixel shows.
+pub struct FromAbove {
+    side: u32,
+    /// Nodes of each pixel's samples; `None` outside the horizon.
+    nodes: Vec<[Option<u32>; (SAMPLES * SAMPLES) as usize]>,
+}
+
+impl FromAbove {
+    /// Pictures `side` pixels square, the horizon their inscribed circle (orthographic), black outside. With up = +Y, +X is
+    /// on the right and −Z (north) at the top; with up = +Z, +X and +Y: right is the world's X axis laid into the
+    /// horizon (or its Z axis where up is X), and the top is up × right.
+    pub fn new(grid: &HemisphereGrid, side: u32) -> Self {
+        let axis = if grid.up.x.abs() > 0.9 {
+            Vec3::Z
+        } else {
+            Vec3::X
+        };
+        let right = (axis - axis.dot(grid.up) * grid.up).normalize_or_zero();
+        let north = grid.up.cross(right);
+        let fine = (side * SAMPLES) as f32;
+        let nodes = (0..side * side)
+            .into_par_iter()
+            .map(|pixel| {
+                std::array::from_fn(|sample| {
+                    let sample = sample as u32;
+                    let column = (pixel % side) * SAMPLES + sample % SAMPLES;
+                    let row = (pixel / side) * SAMPLES + sample / SAMPLES;
+                    let x = 2.0 * (column as f32 + 0.5) / fine - 1.0;
+                    let y = 1.0 - 2.0 * (row as f32 + 0.5) / fine;
+                    let squared = x * x + y * y;
+                    let direction =
+                        x * right + y * north + (1.0 - squared).max(0.0).sqrt() * grid.up;
+                    let node = (squared <= 1.0).then(|| grid.nearest(direction))?;
+                    node.map(|node| node as u32)
+                })
+            })
+            .collect();
+        Self { side, nodes }
+    }
+
+    /// The picture of these radiances, one per node of the grid.
+    pub fn picture(&self, radiance: &[[f32; 3]]) -> Picture {
+        let pixel = |nodes: &[Option<u32>]| {
+            let lit = nodes.iter().flatten();
+            let sum: Vec3 = lit.map(|&node| Vec3::from(radiance[node as usize])).sum();
+            (sum / nodes.len() as f32).to_array()
+        };
+        Picture {
+            width: self.side,
+            height: self.side,
+            radiance: self.nodes.par_iter().map(|nodes| pixel(nodes)).collect(),
+        }
     }
 }
 
@@ -299,7 +310,7 @@ mod tests {
         let brightest_at = |direction: Vec3| {
             let mut radiance = vec![[0.0; 3]; grid.directions.len()];
             radiance[grid.nearest(direction.normalize_or_zero()).unwrap()] = [1.0; 3];
-            let picture = seen_from_above(&grid, &radiance, 101);
+            let picture = FromAbove::new(&grid, 101).picture(&radiance);
             let pixel = (0..101 * 101)
                 .max_by(|&a, &b| picture.radiance[a][0].total_cmp(&picture.radiance[b][0]))
                 .unwrap();

@@ -12,6 +12,8 @@ use crate::surface::Atlas;
 
 /// Texels along each side of a tile, the unit of work.
 const TILE: usize = 32;
+/// Triangles of at most this many texels need no look at their centroid.
+const TINY_TRIANGLE: u32 = 1;
 /// Triangles of at most this many texels have their visibility interpolated …
 const SMALL_TRIANGLE: u32 = 40;
 /// … where a lamp's seen part differs between their corners by no more than this part of the most that is seen: in
@@ -142,12 +144,18 @@ fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<
         .into_par_iter()
         .map(|t| {
             small(t).then(|| {
-                let centroid = ShadingPoint::on(mesh, t as u32, Vec2::splat(1.0 / 3.0));
                 let triangle = mesh.triangles[t];
+                let at_corners = |g: usize| triangle.map(|v| corners[v as usize][g]);
+                if texels[t] <= TINY_TRIANGLE {
+                    return (0..groups)
+                        .map(|g| Some(linear_alone(at_corners(g))))
+                        .collect();
+                }
+                let centroid = ShadingPoint::on(mesh, t as u32, Vec2::splat(1.0 / 3.0));
                 shares(&centroid)
                     .into_iter()
                     .enumerate()
-                    .map(|(g, centre)| linear(triangle.map(|v| corners[v as usize][g]), centre))
+                    .map(|(g, centre)| linear(at_corners(g), centre))
                     .collect()
             })
         })
@@ -167,6 +175,13 @@ fn linear(corners: [Option<f32>; 3], centre: Option<f32>) -> Shares {
     let mean = corners.iter().sum::<f32>() / 3.0;
     (highest - lowest <= MAX_SPREAD * highest && (mean - at_centre).abs() <= MAX_BEND * highest)
         .then_some(corners)
+}
+
+/// The corners' shares of a triangle that is no larger than a texel: nothing finer shows.
+fn linear_alone(corners: [Option<f32>; 3]) -> [f32; 3] {
+    let known = || corners.into_iter().flatten();
+    let mean = known().sum::<f32>() / known().count().max(1) as f32;
+    corners.map(|c| c.unwrap_or(mean))
 }
 
 #[cfg(test)]

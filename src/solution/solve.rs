@@ -11,8 +11,7 @@ use crate::estimate::{
     Diagnostics, Estimate, EstimateInput, EstimateParams, Iteration, Observer, Stopped, estimate,
 };
 use crate::hemisphere::{
-    HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
-    seen_from_above,
+    FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
 };
 use crate::relight::{
     Interreflection, Scene, Shader, Surroundings, ViewFit, reconstruct, separate,
@@ -209,9 +208,10 @@ fn hemispheres(
     }
     let missing = MISSING_VIEWS.min(partials.len().saturating_sub(2));
     let initial = InitialHemisphere::new(&partials, missing);
+    let from_above = FromAbove::new(grid, PICTURE_SIDE);
     let picture = |name: String, radiance: &[[f32; 3]]| HemispherePicture {
         name,
-        picture: seen_from_above(grid, radiance, PICTURE_SIDE),
+        picture: from_above.picture(radiance),
     };
     let mut pictures = vec![picture("initial".to_owned(), &initial.radiance)];
     for (i, partial) in partials.iter().enumerate() {
