@@ -17,6 +17,10 @@ pub const LEAST_EXPLAINED: f64 = 0.15;
 /// Relative standard error of σ past which it counts as undetermined.
 const LARGEST_RELATIVE_ERROR: f32 = 0.3;
 
+/// Part of the differences between views past which what is left is no noise: sound captures leave up to 0.15, those
+/// with the normals of a mesh decimated tenfold 0.6.
+const MOST_UNEXPLAINED: f64 = 0.35;
+
 /// A lobe wider than this, in radians, is no highlight: it spans most of the hemisphere.
 const WIDEST_LOBE: f32 = 0.5;
 
@@ -69,6 +73,18 @@ const NO_DETAIL: &str = "The lighting has no detail sharp enough to tell its own
 pub fn not_sharp(coarse: &CoarseFit<'_>) -> Option<String> {
     let broad = coarse.state.brdf.sigma > WIDEST_LOBE;
     (broad || coarse.sharpness < LEAST_SHARPNESS).then(|| NO_DETAIL.to_owned())
+}
+
+/// What to doubt about a fit that leaves most of the highlights unexplained.
+pub fn misfit(fit: &Fit) -> Option<String> {
+    (fit.unexplained > MOST_UNEXPLAINED).then(|| {
+        format!(
+            "Roughness and lights leave {:.0} % of the differences between views unexplained and are not to be trusted: the \
+             mesh's normals or the cameras are probably off by more than a highlight is wide. Use a finer mesh or one \
+             with the object's normals, and check the cameras.",
+            100.0 * fit.unexplained
+        )
+    })
 }
 
 /// Why roughness and lighting are not determined by a fit, if they aren't.

@@ -72,6 +72,8 @@ pub struct Fit {
     pub nodes: Vec<[f32; 3]>,
     /// Standard error of σ, radians; infinite where the data do not determine it.
     pub sigma_error: f32,
+    /// Part of the differences between views that it leaves.
+    pub unexplained: f64,
 }
 
 /// The best fit on the coarsest cells.
@@ -215,6 +217,7 @@ impl Solver<'_> {
                 self.report(&state, watch)?;
             }
         }
+        let unexplained = state.unexplained_share();
         let scale = self.coarse.scale;
         let mut nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
         for value in nodes.iter_mut().flatten() {
@@ -224,6 +227,7 @@ impl Solver<'_> {
             brdf: state.brdf,
             nodes: fill_compact_lamps(self.grid, state.brdf.sigma, &nodes),
             sigma_error: error as f32,
+            unexplained,
         })
     }
 

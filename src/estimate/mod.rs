@@ -231,7 +231,9 @@ fn accept(result: &mut Estimate, fit: Fit) {
     }
     let sigma = fit.brdf.sigma;
     let half_width = 1.96 * fit.sigma_error;
-    result.diagnostics.well_posed = true;
+    let misfit = diagnose::misfit(&fit);
+    result.diagnostics.well_posed = misfit.is_none();
+    result.diagnostics.warnings.extend(misfit);
     result.diagnostics.specular_found = true;
     result.sigma_interval95 = Some([(sigma - half_width).max(0.0), sigma + half_width]);
     result.brdf = Some(fit.brdf);

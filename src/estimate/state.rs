@@ -164,12 +164,21 @@ impl<'a> State<'a> {
 
     /// Huber's objective of the same rows without any light, at the present noise level.
     pub fn dark_objective(&self) -> f64 {
+        robust_objective(&self.design, &self.dark_residuals(), self.residuals.noise)
+    }
+
+    /// Sum of the residuals' lengths as a part of what it is without any light.
+    pub fn unexplained_share(&self) -> f64 {
+        let dark = self.dark_residuals().absolute_sum();
+        self.residuals.absolute_sum() / dark.max(f64::MIN_POSITIVE)
+    }
+
+    fn dark_residuals(&self) -> Residuals {
         let none = Prediction {
             value: vec![[0.0; 3]; self.prediction.value.len()],
             by_sigma: Vec::new(),
         };
-        let left = residuals(&self.design, &self.brdf, &self.weights, &none);
-        robust_objective(&self.design, &left, self.residuals.noise)
+        residuals(&self.design, &self.brdf, &self.weights, &none)
     }
 
     /// Weighted root mean square residual, in units of the observations' scale.
