@@ -1,6 +1,7 @@
 //! The object's surface as a triangle mesh.
 
 use glam::{Vec2, Vec3};
+use rayon::prelude::*;
 
 /// Triangles over shared vertices. Corners that differ in normal or texture coordinate are distinct vertices.
 #[derive(Clone, Debug, Default)]
@@ -57,6 +58,26 @@ impl Mesh {
     pub fn face_normal(&self, triangle: u32) -> Vec3 {
         let [a, b, c] = self.corners(triangle);
         (b - a).cross(c - a).normalize_or_zero()
+    }
+
+    /// For every vertex the number of its place, counted from 0: vertices at exactly one position have one place, whatever
+    /// their normals and texture coordinates.
+    pub fn places(&self) -> Vec<u32> {
+        // Adding zero turns −0 into +0.
+        let key = |v: u32| {
+            (self.positions[v as usize] + Vec3::ZERO)
+                .to_array()
+                .map(f32::to_bits)
+        };
+        let mut order: Vec<u32> = (0..self.positions.len() as u32).collect();
+        order.par_sort_unstable_by_key(|&v| (key(v), v));
+        let mut places = vec![0; order.len()];
+        for (place, same) in order.chunk_by(|&a, &b| key(a) == key(b)).enumerate() {
+            for &v in same {
+                places[v as usize] = place as u32;
+            }
+        }
+        places
     }
 
     /// Position and shading normal at barycentric weights `(b1, b2)` of the second and third corner.

@@ -4,7 +4,6 @@ use super::error::CaptureError;
 use super::mesh::Mesh;
 use super::{obj, ply};
 use glam::{Vec2, Vec3};
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// A mesh as its file has it.
@@ -217,7 +216,7 @@ fn repair_normals(mesh: &mut Mesh) -> usize {
     if computed == 0 {
         return 0;
     }
-    let places = places(&mesh.positions);
+    let places = mesh.places();
     let mut sums = vec![glam::DVec3::ZERO; mesh.positions.len()];
     for triangle in &mesh.triangles {
         let p = triangle.map(|v| mesh.positions[v as usize].as_dvec3());
@@ -238,18 +237,4 @@ fn repair_normals(mesh: &mut Mesh) -> usize {
         }
     }
     computed
-}
-
-/// For every vertex the first vertex at exactly the same position.
-fn places(positions: &[Vec3]) -> Vec<u32> {
-    let mut first: HashMap<[u32; 3], u32> = HashMap::with_capacity(positions.len());
-    positions
-        .iter()
-        .enumerate()
-        .map(|(i, p)| {
-            // Adding zero turns −0 into +0.
-            let key = (*p + Vec3::ZERO).to_array().map(f32::to_bits);
-            *first.entry(key).or_insert(i as u32)
-        })
-        .collect()
 }

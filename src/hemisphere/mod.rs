@@ -9,5 +9,5 @@ pub use cluster::{Lamp, find_lamps, rest};
 pub use grid::HemisphereGrid;
 pub use partial::{InitialHemisphere, PartialHemisphere, SpecularImage};
 pub use picture::{
-    Exposure, FromAbove, Picture, direction_from_lat_long, lat_long, lat_long_from_direction,
+    Exposure, FromAbove, Picture, direction_from_lat_long, lat_long, lat_long_from_direction, srgb,
 };

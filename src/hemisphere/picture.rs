@@ -61,8 +61,8 @@ impl Picture {
     }
 }
 
-/// The sRGB transfer function.
-fn srgb(linear: f32) -> f32 {
+/// The sRGB transfer function, of a linear value up to 1; 0 below 0.
+pub fn srgb(linear: f32) -> f32 {
     if linear <= 0.003_130_8 {
         12.92 * linear.max(0.0)
     } else {

@@ -16,6 +16,7 @@ use super::render::{Scene, specular_band};
 use super::samples::{Samples, bands};
 use super::shading::Shader;
 use crate::capture::View;
+use crate::hemisphere;
 use crate::surface::Atlas;
 
 /// Sub-samples of all views together: the more pixels, the fewer each has.
@@ -395,13 +396,10 @@ impl Footprints {
 
 /// sRGB encoding of linear values, clamped to [0, 1].
 pub fn srgb(linear: Vec3) -> Vec3 {
-    let encode = |v: f32| {
-        let v = v.clamp(0.0, 1.0);
-        if v <= 0.003_130_8 {
-            12.92 * v
-        } else {
-            1.055 * v.powf(1.0 / 2.4) - 0.055
-        }
-    };
-    Vec3::new(encode(linear.x), encode(linear.y), encode(linear.z))
+    Vec3::from(
+        linear
+            .clamp(Vec3::ZERO, Vec3::ONE)
+            .to_array()
+            .map(hemisphere::srgb),
+    )
 }

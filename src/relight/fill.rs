@@ -21,7 +21,7 @@ pub(super) struct Places {
 
 impl Places {
     pub(super) fn new(mesh: &Mesh) -> Self {
-        let of = weld(&mesh.positions);
+        let of = mesh.places();
         let count = of.iter().map(|&w| w as usize + 1).max().unwrap_or(0);
         let (starts, list) = neighbours(mesh, &of, count);
         Self { of, starts, list }
@@ -104,24 +104,6 @@ pub(super) fn fill(
             if total > 1e-6 { sum / total } else { mean }
         })
         .collect()
-}
-
-/// For every vertex the number of its place: equal positions have equal numbers.
-fn weld(positions: &[Vec3]) -> Vec<u32> {
-    let bits = |p: &Vec3| p.to_array().map(|c| (c + 0.0).to_bits());
-    let mut order: Vec<u32> = (0..positions.len() as u32).collect();
-    order.par_sort_unstable_by_key(|&i| (bits(&positions[i as usize]), i));
-    let mut place = vec![0; positions.len()];
-    let mut next = 0;
-    for pair in 0..order.len() {
-        if pair > 0
-            && bits(&positions[order[pair] as usize]) != bits(&positions[order[pair - 1] as usize])
-        {
-            next += 1;
-        }
-        place[order[pair] as usize] = next;
-    }
-    place
 }
 
 /// Places joined by an edge, in compressed rows.

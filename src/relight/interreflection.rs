@@ -22,6 +22,7 @@ use super::reflection::Lobe;
 use super::shading::{Shader, ShadingPoint, Visibility};
 use crate::capture::Mesh;
 use crate::estimate::Brdf;
+use crate::math::GOLDEN_ANGLE;
 use crate::surface::{Atlas, Occluder};
 
 /// Distance of gather points as a part of the object's diagonal.
@@ -141,7 +142,7 @@ impl Interreflection {
                     .sum()
             })
             .collect();
-        self.spread(mesh, &gathered)
+        self.spread(&self.lattice.points(mesh), &gathered)
     }
 
     /// Irradiance under the light of `shader`, on a surface with this pseudo-albedo.
@@ -178,9 +179,10 @@ impl Interreflection {
             .collect();
         let indirect = bounce(&direct, &rows);
         let total: Vec<Vec3> = direct.iter().zip(&indirect).map(|(&d, &i)| d + i).collect();
+        let places = self.lattice.points(mesh);
         Relit {
-            indirect: self.spread(mesh, &indirect),
-            total: self.spread(mesh, &total),
+            indirect: self.spread(&places, &indirect),
+            total: self.spread(&places, &total),
         }
     }
 
@@ -195,10 +197,8 @@ impl Interreflection {
     }
 
     /// Interpolates values of the gather points at the lattice's places.
-    fn spread(&self, mesh: &Mesh, values: &[Vec3]) -> Field<'_> {
-        let irradiance = self
-            .lattice
-            .points(mesh)
+    fn spread(&self, places: &[ShadingPoint], values: &[Vec3]) -> Field<'_> {
+        let irradiance = places
             .par_iter()
             .zip(&self.clusters.own)
             .map(|(place, &own)| {
@@ -262,6 +262,18 @@ fn bounce(direct: &[Vec3], rows: &[&[(u32, Vec3)]]) -> Vec<Vec3> {
     indirect
 }
 
+/// Cosine at which light leaves a point of the surface against the unit direction of the ray that met it. `None` on the
+/// inside of an open surface, which sends nothing.
+pub(super) fn exit_cosine(
+    mesh: &Mesh,
+    triangle: u32,
+    barycentric: Vec2,
+    direction: Vec3,
+) -> Option<f32> {
+    let cos = -mesh.point(triangle, barycentric).normal.dot(direction);
+    (cos > 0.0 && mesh.face_normal(triangle).dot(direction) < 0.0).then_some(cos)
+}
+
 /// Casts the rays of one gather point, distributed by the cosine (Malley's method) along a golden spiral.
 fn cast(
     mesh: &Mesh,
@@ -271,7 +283,6 @@ fn cast(
     point: &ShadingPoint,
     index: usize,
 ) -> Vec<Hit> {
-    const GOLDEN_ANGLE: f32 = 2.399_963_2;
     let origin = occluder.offset_origin(point.position, point.face_normal);
     let (tangent, bitangent) = point.normal.any_orthonormal_pair();
     // Every gather point turns the spiral, so that its gaps do not show as a pattern.
@@ -286,11 +297,8 @@ fn cast(
                 return None;
             }
             let hit = occluder.hit(origin, direction)?;
-            let there = mesh.point(hit.triangle, hit.barycentric);
-            // The inside of an open surface sends nothing.
-            let facing = -mesh.face_normal(hit.triangle).dot(direction);
-            let cos_there = -there.normal.dot(direction);
-            (facing > 0.0 && cos_there > 0.0).then(|| Hit {
+            let cos_there = exit_cosine(mesh, hit.triangle, hit.barycentric, direction)?;
+            Some(Hit {
                 triangle: hit.triangle,
                 barycentric: hit.barycentric,
                 weight: scale * PI / RAYS as f32

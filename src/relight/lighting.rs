@@ -9,6 +9,8 @@ use std::f32::consts::TAU;
 
 use glam::{Quat, Vec3};
 
+use crate::math::GOLDEN_ANGLE;
+
 /// A small piece of a lamp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LightNode {
@@ -80,7 +82,6 @@ impl LampNodes {
         /// Nodes in a disc: a lobe sees it as smooth, and its penumbra has as many steps.
         const NODES: usize = 64;
         // Equal areas along a golden spiral.
-        const GOLDEN_ANGLE: f32 = 2.399_963_2;
         let (tangent, bitangent) = direction.any_orthonormal_pair();
         let depth = 1.0 - angular_radius.min(std::f32::consts::PI).cos();
         let solid_angle = (TAU * depth).max(1e-9) / NODES as f32;

@@ -8,10 +8,11 @@
 
 use glam::{Vec2, Vec3};
 
-use super::interreflection::{Interreflection, Relit};
+use super::interreflection::{Interreflection, Relit, exit_cosine};
 use super::shading::ShadingPoint;
 use crate::capture::Mesh;
 use crate::estimate::Brdf;
+use crate::math::GOLDEN_ANGLE;
 use crate::surface::{Atlas, Occluder};
 
 /// Half vectors of a lobe.
@@ -30,7 +31,6 @@ pub struct Lobe {
 
 impl Lobe {
     pub(super) fn new(brdf: Brdf) -> Self {
-        const GOLDEN_ANGLE: f32 = 2.399_963_2;
         let half_vectors = (0..RAYS)
             .map(|i| {
                 let u = (i as f32 + 0.5) / RAYS as f32;
@@ -144,8 +144,7 @@ impl Surroundings<'_> {
             let Some(hit) = occluder.hit(origin, light) else {
                 return;
             };
-            let cos = -mesh.point(hit.triangle, hit.barycentric).normal.dot(light);
-            if cos > 0.0 && mesh.face_normal(hit.triangle).dot(light) < 0.0 {
+            if let Some(cos) = exit_cosine(mesh, hit.triangle, hit.barycentric, light) {
                 sum += self.radiance(mesh, hit.triangle, hit.barycentric)
                     * (weight * lobe.brdf.diffuse_transmittance(cos));
             }
