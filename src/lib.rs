@@ -10,4 +10,5 @@ pub mod math;
 pub mod preflight;
 pub mod relight;
 pub mod solution;
+pub mod studio;
 pub mod surface;

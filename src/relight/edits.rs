@@ -17,7 +17,7 @@ use super::environment::LatLong;
 use super::lighting::{LampNodes, Lighting};
 
 /// The operations there are, as the messages list them.
-const OPERATIONS: &str = "mute, solo, gain, move, add, delete, environment, ambient";
+const OPERATIONS: &str = "mute, solo, gain, move, add, delete, environment, ambient, remainder";
 
 /// One edit of the lighting.
 #[derive(Clone, Debug)]
@@ -71,6 +71,11 @@ pub enum Edit {
     },
     /// Multiplies the ambient part.
     Ambient {
+        /// The factor.
+        gain: f32,
+    },
+    /// Multiplies estimated light that belongs to no lamp.
+    Remainder {
         /// The factor.
         gain: f32,
     },
@@ -177,7 +182,7 @@ struct EnvironmentFields {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct AmbientFields {
+struct GainOnlyFields {
     gain: f32,
 }
 
@@ -298,7 +303,10 @@ fn parse(name: &str, fields: Value, folder: &Path) -> Result<Edit, Problem> {
             }
         }
         "ambient" => Edit::Ambient {
-            gain: not_negative("gain", [from_value::<AmbientFields>(fields)?.gain; 3])?.x,
+            gain: not_negative("gain", [from_value::<GainOnlyFields>(fields)?.gain; 3])?.x,
+        },
+        "remainder" => Edit::Remainder {
+            gain: not_negative("gain", [from_value::<GainOnlyFields>(fields)?.gain; 3])?.x,
         },
         _ => return Err(Problem::UnknownOperation),
     })
@@ -378,6 +386,12 @@ pub fn apply(edits: &[Edit], lighting: &Lighting) -> Result<Lighting, EditError>
                 edited.environment = picture.patches(turn, *gain);
             }
             Edit::Ambient { gain } => edited.ambient *= *gain,
+            Edit::Remainder { gain } if *gain == 0.0 => edited.remainder.clear(),
+            Edit::Remainder { gain } => {
+                for node in &mut edited.remainder {
+                    node.radiance *= *gain;
+                }
+            }
         }
     }
     Ok(edited)
@@ -387,6 +401,7 @@ pub fn apply(edits: &[Edit], lighting: &Lighting) -> Result<Lighting, EditError>
 mod tests {
     use super::*;
     use crate::damage::{Random, damaged};
+    use crate::relight::LightNode;
 
     fn two_lamps() -> Lighting {
         Lighting {
@@ -394,7 +409,11 @@ mod tests {
                 LampNodes::disc(Vec3::Y, Vec3::new(3.0, 3.0, 3.0), 0.05, None),
                 LampNodes::disc(Vec3::X, Vec3::new(1.0, 1.0, 1.0), 0.05, None),
             ],
-            remainder: Vec::new(),
+            remainder: vec![LightNode {
+                direction: Vec3::Z,
+                radiance: Vec3::ONE,
+                solid_angle: 0.01,
+            }],
             environment: Vec::new(),
             ambient: Vec3::splat(0.1),
             centre: Vec3::ZERO,
@@ -464,6 +483,14 @@ mod tests {
 
         let dimmed = applied(r#"[{"ambient": {"gain": 0.5}}]"#);
         assert_eq!(dimmed.ambient, Vec3::splat(0.05));
+
+        let half = applied(r#"[{"remainder": {"gain": 0.5}}]"#);
+        assert_eq!(half.remainder[0].radiance, Vec3::splat(0.5));
+        assert!(
+            applied(r#"[{"remainder": {"gain": 0}}]"#)
+                .remainder
+                .is_empty()
+        );
     }
 
     #[test]
