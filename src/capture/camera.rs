@@ -125,6 +125,22 @@ impl Camera {
         }
     }
 
+    /// The same field of view on a picture of another size. The pixels' aspect ratio follows the size.
+    #[must_use]
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        let factor = DVec2::new(
+            f64::from(width) / f64::from(self.width),
+            f64::from(height) / f64::from(self.height),
+        );
+        Self {
+            width,
+            height,
+            focal: self.focal * factor,
+            centre: self.centre * factor,
+            ..self.clone()
+        }
+    }
+
     /// World point in camera space.
     pub fn to_camera(&self, world: DVec3) -> DVec3 {
         self.world_from_camera.matrix3.transpose() * (world - self.position())

@@ -2,6 +2,7 @@
 
 mod camera;
 mod colmap;
+mod demo;
 mod error;
 mod exposures;
 mod load;
@@ -16,6 +17,7 @@ mod polygon;
 mod tests;
 
 pub use camera::{Camera, Distortion};
+pub use demo::{DEMO, unpack_demo};
 pub use error::CaptureError;
 pub use load::{PixelCounts, read_cameras, read_radiance};
 pub use mesh::{Mesh, SurfacePoint};

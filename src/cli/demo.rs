@@ -11,45 +11,12 @@ use super::progress::Progress;
 use super::render::{Renderer, Shot, cannot_write};
 use super::solve::{EstimationArgs, describe, solve_capture};
 use super::{OutputArgs, print_json, print_line};
-use crate::capture::{Camera, Capture};
+use crate::capture::{Camera, Capture, DEMO, unpack_demo};
 use crate::relight::Edit;
 use crate::solution::{Solution, SolutionError, Staging};
 
 /// Where the demo is written, in the current folder.
 const FOLDER: &str = "rekindle-demo";
-
-/// The capture's files: Spot by Keenan Crane (CC0).
-const FILES: [(&str, &[u8]); 8] = [
-    (
-        "transforms.json",
-        include_bytes!("../../assets/demo/transforms.json"),
-    ),
-    ("mesh.obj", include_bytes!("../../assets/demo/mesh.obj")),
-    (
-        "images/view_000.exr",
-        include_bytes!("../../assets/demo/images/view_000.exr"),
-    ),
-    (
-        "images/view_001.exr",
-        include_bytes!("../../assets/demo/images/view_001.exr"),
-    ),
-    (
-        "images/view_002.exr",
-        include_bytes!("../../assets/demo/images/view_002.exr"),
-    ),
-    (
-        "images/view_003.exr",
-        include_bytes!("../../assets/demo/images/view_003.exr"),
-    ),
-    (
-        "images/view_004.exr",
-        include_bytes!("../../assets/demo/images/view_004.exr"),
-    ),
-    (
-        "images/view_005.exr",
-        include_bytes!("../../assets/demo/images/view_005.exr"),
-    ),
-];
 
 /// How far the moved lamp is turned about the hemisphere's pole, radians.
 const MOVE: f32 = 1.2;
@@ -64,10 +31,10 @@ pub(super) fn run(output: OutputArgs) -> anyhow::Result<()> {
     let mut progress = Progress::new(output);
     let staging = Staging::beside(folder).with_context(|| cannot_write(folder))?;
     let capture_folder = staging.path().join("capture");
-    unpack(&capture_folder).with_context(|| cannot_write(folder))?;
+    unpack_demo(&capture_folder).with_context(|| cannot_write(folder))?;
     let started = Instant::now();
     let mut capture = Capture::load(&capture_folder)?;
-    "demo".clone_into(&mut capture.name);
+    DEMO.clone_into(&mut capture.name);
     let load_s = started.elapsed().as_secs_f64();
     let solution = solve_capture(&capture, load_s, &EstimationArgs::default(), &mut progress)?;
     let saved = solution.save(&staging.path().join("solution"));
@@ -101,13 +68,6 @@ pub(super) fn run(output: OutputArgs) -> anyhow::Result<()> {
         ));
     }
     Ok(())
-}
-
-fn unpack(folder: &Path) -> std::io::Result<()> {
-    fs::create_dir_all(folder.join("images"))?;
-    FILES
-        .iter()
-        .try_for_each(|(name, bytes)| fs::write(folder.join(name), bytes))
 }
 
 /// Renders the demo's pictures; returns file and description of each.

@@ -125,7 +125,7 @@ pub fn solve(
     for iteration in 1..=MOST_ITERATIONS {
         let fall = state.iterate(order, iteration, watch)?;
         report(solver, &cells, &state, watch)?;
-        if fall < SETTLED {
+        if fall < SETTLED || watch.observer.enough() {
             break;
         }
     }

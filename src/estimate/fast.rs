@@ -17,7 +17,7 @@ use super::design::{Design, light_from};
 use super::lamps::fill_compact_lamps;
 use super::model::{Brdf, SpecularModel};
 use super::observations::{Observations, Row, Sampling};
-use super::observer::{Iteration, Observer, Stopped, go_on};
+use super::observer::{Interim, Iteration, Observer, Stopped, go_on};
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
 use super::visibility::cell_visibility;
 use crate::capture::Capture;
@@ -164,6 +164,7 @@ impl Solver<'_> {
         let mut best: Option<(f64, State<'_>)> = None;
         let mut broadest = None;
         let mut worse = 0;
+        watch.observer.interim(Interim::Lobe(model));
         for (k, sigma) in SIGMAS.into_iter().enumerate() {
             let done = 0.3 * k as f32 / SIGMAS.len() as f32;
             go_on(watch.observer.progress("comparing roughnesses", done))?;
@@ -171,6 +172,11 @@ impl Solver<'_> {
             state.brdf.sigma = sigma;
             state.solve_lights(ROUGH);
             let cost = state.unexplained();
+            watch.observer.interim(Interim::Tried {
+                model,
+                sigma,
+                unexplained: cost,
+            });
             broadest.get_or_insert(cost);
             if best
                 .as_ref()
@@ -212,6 +218,10 @@ impl Solver<'_> {
                 state = self.narrow(&state);
             }
             let step = self.improve(&mut state, rounds, precision, watch)?;
+            if watch.observer.enough() {
+                error = step.error;
+                break;
+            }
             if last {
                 error = state.settle_sigma(&step, precision);
                 self.report(&state, watch)?;
@@ -254,7 +264,7 @@ impl Solver<'_> {
             state.brdf.sigma = (f64::from(state.brdf.sigma) + change).clamp(0.003, 1.0) as f32;
             round += 1;
             let settled = change.abs() < 3e-4 * f64::from(state.brdf.sigma);
-            if round >= rounds || (round > 2 && settled) {
+            if round >= rounds || (round > 2 && settled) || watch.observer.enough() {
                 return Ok(step);
             }
         }

@@ -34,8 +34,9 @@ use alternating::Order;
 use cells::Pyramid;
 use fast::{CoarseFit, Fit, Solver, Watch};
 pub use model::{Brdf, LobeValue, SpecularModel, ViewTerms};
-pub use observer::{Iteration, Observer, Stopped, Unobserved};
-use observer::{Watcher, watched};
+pub(crate) use observer::watched;
+use observer::Watcher;
+pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 
 /// How the minimum is sought.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -185,9 +186,16 @@ fn run(
         result.diagnostics.warnings.push(reason);
         return Ok(result);
     }
+    let lobe = coarse.state.brdf.model;
+    watch.observer.interim(Interim::Lobe(lobe));
     let fit = solver.fine_fit(&coarse.state, &mut watch)?;
     result.chosen_because = because;
+    let ended = watch.observer.enough();
     accept(&mut result, fit);
+    if ended {
+        let warnings = &mut result.diagnostics.warnings;
+        warnings.push(diagnose::ENDED_EARLY.to_owned());
+    }
     Ok(result)
 }
 
@@ -208,6 +216,7 @@ fn alternate(
         iterations: &mut result.convergence,
         observer,
     };
+    watch.observer.interim(Interim::Lobe(model));
     let Some(solution) = alternating::solve(solver, grid, order, model, &mut watch)? else {
         result
             .diagnostics
@@ -251,6 +260,9 @@ fn choose<'s>(
         return Ok((fit, "it was asked for".to_owned()));
     }
     let paper = solver.coarse_fit(SpecularModel::Paper, watch)?;
+    if watch.observer.enough() {
+        return Ok((paper, "it was the only one tried before the end".to_owned()));
+    }
     let microfacet = solver.coarse_fit(SpecularModel::Microfacet, watch)?;
     let left = [&paper, &microfacet].map(|s| s.state.unexplained().max(f64::MIN_POSITIVE));
     let (chosen, names, ratio) = if left[0] <= left[1] {

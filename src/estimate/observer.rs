@@ -8,6 +8,10 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use super::model::SpecularModel;
+use crate::hemisphere::HemisphereGrid;
+use crate::surface::Atlas;
+
 /// A solve was stopped by its observer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stopped;
@@ -27,6 +31,45 @@ pub struct Iteration {
     pub residual_rms: f32,
 }
 
+/// Something that a solve has before it ends, worth showing. All radiances are in the capture's units.
+#[derive(Clone, Copy)]
+pub enum Interim<'a> {
+    /// The surface has its atlas, and the least that the views show of each texel is a first diffuse texture.
+    Texture {
+        /// Where each triangle lies in the texture.
+        atlas: &'a Atlas,
+        /// Diffuse radiance per texel, RGB.
+        radiance: &'a [[f32; 3]],
+    },
+    /// What one view says of the lighting (2.2).
+    Partial {
+        /// Index of the view.
+        view: usize,
+        /// The nodes.
+        grid: &'a HemisphereGrid,
+        /// Reflected radiance per node, RGB.
+        radiance: &'a [[f32; 3]],
+    },
+    /// What all views agree on (2.2).
+    Initial {
+        /// The nodes.
+        grid: &'a HemisphereGrid,
+        /// Reflected radiance per node, RGB.
+        radiance: &'a [[f32; 3]],
+    },
+    /// The iterations that follow are of this specular model.
+    Lobe(SpecularModel),
+    /// A roughness was tried on the coarsest cells.
+    Tried {
+        /// The specular model.
+        model: SpecularModel,
+        /// Roughness σ, radians.
+        sigma: f32,
+        /// What it leaves of the differences between views, in squares; comparable between tries of one solve.
+        unexplained: f64,
+    },
+}
+
 /// Watches a solve. Every call may stop it by `ControlFlow::Break`. Calls come at least every 100 ms, some of them from
 /// another thread than the one that called, but never two at a time.
 pub trait Observer: Send {
@@ -39,6 +82,14 @@ pub trait Observer: Send {
         iteration: &Iteration,
         hemisphere: &dyn Fn() -> Vec<[f32; 3]>,
     ) -> ControlFlow<()>;
+
+    /// Something is there that can be shown.
+    fn interim(&mut self, _: Interim<'_>) {}
+
+    /// Whether the estimation is to end with what it has reached. Asked between steps.
+    fn enough(&mut self) -> bool {
+        false
+    }
 }
 
 /// An observer that lets the solve run and keeps nothing.
@@ -104,6 +155,16 @@ impl Observer for &Watcher<'_> {
         hemisphere: &dyn Fn() -> Vec<[f32; 3]>,
     ) -> ControlFlow<()> {
         self.ask(|told| told.observer.iteration(iteration, hemisphere))
+    }
+
+    fn interim(&mut self, interim: Interim<'_>) {
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        told.observer.interim(interim);
+    }
+
+    fn enough(&mut self) -> bool {
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        told.observer.enough()
     }
 }
 

@@ -8,7 +8,8 @@ use glam::Vec3;
 use super::{Fit, HemispherePicture, Solution, SolutionLamp, lighting};
 use crate::capture::Capture;
 use crate::estimate::{
-    Diagnostics, Estimate, EstimateInput, EstimateParams, Iteration, Observer, Stopped, estimate,
+    Diagnostics, Estimate, EstimateInput, EstimateParams, Interim, Iteration, Observer, Stopped,
+    estimate,
 };
 use crate::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
@@ -62,6 +63,14 @@ impl Observer for Part<'_> {
         hemisphere: &dyn Fn() -> Vec<[f32; 3]>,
     ) -> ControlFlow<()> {
         self.observer.iteration(iteration, hemisphere)
+    }
+
+    fn interim(&mut self, interim: Interim<'_>) {
+        self.observer.interim(interim);
+    }
+
+    fn enough(&mut self) -> bool {
+        self.observer.enough()
     }
 }
 
@@ -200,14 +209,28 @@ fn hemispheres(
 ) -> Result<(Vec<HemispherePicture>, MinimumTexture), Stopped> {
     report(observer, HEMISPHERES)?;
     let minimum = minimum_texture(&capture.mesh, atlas, &capture.views, surfaces);
+    observer.interim(Interim::Texture {
+        atlas,
+        radiance: &minimum.radiance,
+    });
     let mut partials: Vec<PartialHemisphere> = Vec::with_capacity(surfaces.len());
-    for (view, surface) in capture.views.iter().zip(surfaces) {
+    for (index, (view, surface)) in capture.views.iter().zip(surfaces).enumerate() {
         report(observer, HEMISPHERES)?;
         let specular = SpecularImage::new(&capture.mesh, atlas, &minimum, view, surface);
-        partials.push(specular.partial_hemisphere(grid, view.camera.position().as_vec3()));
+        let partial = specular.partial_hemisphere(grid, view.camera.position().as_vec3());
+        observer.interim(Interim::Partial {
+            view: index,
+            grid,
+            radiance: &partial.radiance,
+        });
+        partials.push(partial);
     }
     let missing = MISSING_VIEWS.min(partials.len().saturating_sub(2));
     let initial = InitialHemisphere::new(&partials, missing);
+    observer.interim(Interim::Initial {
+        grid,
+        radiance: &initial.radiance,
+    });
     let from_above = FromAbove::new(grid, PICTURE_SIDE);
     let picture = |name: String, radiance: &[[f32; 3]]| HemispherePicture {
         name,

@@ -1,0 +1,345 @@
+//! Every command of the window, once: menus, shortcuts, the command palette and the key sheet all read this table.
+
+use eframe::egui::{Key, KeyboardShortcut, Modifiers};
+
+/// What a command does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// Open the folder of a capture or of a solution.
+    OpenFolder,
+    /// Open a project file or a `transforms.json`.
+    OpenFile,
+    /// Open the built-in capture.
+    Demo,
+    /// Go to the welcome page.
+    Welcome,
+    /// Close the window.
+    Quit,
+    /// Start the estimation, or start it again.
+    Solve,
+    /// Pause the estimation or let it go on.
+    Pause,
+    /// Stop what is running.
+    Stop,
+    /// End the estimation with what it has reached.
+    KeepBest,
+    /// Show the page of the capture.
+    ShowCapture,
+    /// Show the page of the estimation.
+    ShowEstimation,
+    /// Show the page on which the object is relit.
+    ShowRelighting,
+    /// Show the whole object.
+    Frame,
+    /// Back to the first viewpoint.
+    ResetView,
+    /// To the camera of an input view, counted from 0.
+    Camera(u8),
+    /// More exposure.
+    Brighter,
+    /// Less exposure.
+    Darker,
+    /// Exposure back to none.
+    ResetExposure,
+    /// Dark or light theme.
+    ToggleTheme,
+    /// Larger text.
+    ZoomIn,
+    /// Smaller text.
+    ZoomOut,
+    /// Text at its normal size.
+    ZoomReset,
+    /// The whole screen or a window.
+    FullScreen,
+    /// All commands by name.
+    Palette,
+    /// All keys.
+    Keys,
+}
+
+/// Where a command is found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Menu {
+    /// Opening, saving, leaving.
+    File,
+    /// The estimation.
+    Estimate,
+    /// What is shown and how.
+    View,
+    /// Finding one's way.
+    Help,
+}
+
+impl Menu {
+    /// All menus in order.
+    pub const ALL: [Self; 4] = [Self::File, Self::Estimate, Self::View, Self::Help];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::File => "File",
+            Self::Estimate => "Estimate",
+            Self::View => "View",
+            Self::Help => "Help",
+        }
+    }
+}
+
+/// A command.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    /// What it does.
+    pub action: Action,
+    /// What it is called; ends with `…` if it asks something first.
+    pub name: &'static str,
+    /// Where it is found.
+    pub menu: Menu,
+    /// Its keys.
+    pub keys: Option<KeyboardShortcut>,
+    /// What it does, in a sentence.
+    pub tip: &'static str,
+}
+
+const fn entry(
+    action: Action,
+    name: &'static str,
+    menu: Menu,
+    keys: Option<(Modifiers, Key)>,
+    tip: &'static str,
+) -> Entry {
+    let keys = match keys {
+        Some((modifiers, key)) => Some(KeyboardShortcut::new(modifiers, key)),
+        None => None,
+    };
+    Entry {
+        action,
+        name,
+        menu,
+        keys,
+        tip,
+    }
+}
+
+const NONE: Modifiers = Modifiers::NONE;
+const SHIFT: Modifiers = Modifiers::SHIFT;
+const CTRL: Modifiers = Modifiers::COMMAND;
+
+/// All commands. Where two have the same key, the one with more modifiers comes first.
+pub const ENTRIES: &[Entry] = &[
+    entry(
+        Action::OpenFile,
+        "Open project…",
+        Menu::File,
+        Some((CTRL.plus(SHIFT), Key::O)),
+        "Open a project file, or a capture by its transforms.json",
+    ),
+    entry(
+        Action::OpenFolder,
+        "Open capture…",
+        Menu::File,
+        Some((CTRL, Key::O)),
+        "Open the folder of a capture or of a solution",
+    ),
+    entry(
+        Action::Demo,
+        "Try the demo",
+        Menu::File,
+        Some((CTRL, Key::D)),
+        "Open the built-in capture: six photographs of a painted cow",
+    ),
+    entry(
+        Action::Welcome,
+        "Welcome page",
+        Menu::File,
+        None,
+        "Go to the page with recent files; what is open stays open",
+    ),
+    entry(
+        Action::Quit,
+        "Quit",
+        Menu::File,
+        Some((CTRL, Key::Q)),
+        "Close the window",
+    ),
+    entry(
+        Action::Solve,
+        "Estimate",
+        Menu::Estimate,
+        Some((CTRL, Key::Enter)),
+        "Estimate roughness and lights, with the settings of the capture's page",
+    ),
+    entry(
+        Action::Pause,
+        "Pause or resume",
+        Menu::Estimate,
+        Some((NONE, Key::Space)),
+        "Pause the estimation, or let it go on",
+    ),
+    entry(
+        Action::KeepBest,
+        "Stop and keep the best so far",
+        Menu::Estimate,
+        Some((CTRL, Key::Period)),
+        "End the estimation with what it has reached and relight with that",
+    ),
+    entry(
+        Action::Stop,
+        "Stop",
+        Menu::Estimate,
+        Some((NONE, Key::Escape)),
+        "Stop what is running; nothing of it is kept",
+    ),
+    entry(
+        Action::ShowCapture,
+        "Show the capture",
+        Menu::View,
+        Some((NONE, Key::F1)),
+        "Photographs, mesh and what is wrong with them",
+    ),
+    entry(
+        Action::ShowEstimation,
+        "Show the estimation",
+        Menu::View,
+        Some((NONE, Key::F2)),
+        "Hemispheres, curves and every iteration",
+    ),
+    entry(
+        Action::ShowRelighting,
+        "Show the relighting",
+        Menu::View,
+        Some((NONE, Key::F3)),
+        "The object and its lamps",
+    ),
+    entry(
+        Action::Frame,
+        "Frame the object",
+        Menu::View,
+        Some((NONE, Key::F)),
+        "Show the whole object",
+    ),
+    entry(
+        Action::ResetView,
+        "Reset the view",
+        Menu::View,
+        Some((NONE, Key::Home)),
+        "Back to the first viewpoint",
+    ),
+    camera(0, "Camera 1", Key::Num1),
+    camera(1, "Camera 2", Key::Num2),
+    camera(2, "Camera 3", Key::Num3),
+    camera(3, "Camera 4", Key::Num4),
+    camera(4, "Camera 5", Key::Num5),
+    camera(5, "Camera 6", Key::Num6),
+    camera(6, "Camera 7", Key::Num7),
+    camera(7, "Camera 8", Key::Num8),
+    camera(8, "Camera 9", Key::Num9),
+    entry(
+        Action::Darker,
+        "Less exposure",
+        Menu::View,
+        Some((SHIFT, Key::E)),
+        "Half a stop less",
+    ),
+    entry(
+        Action::Brighter,
+        "More exposure",
+        Menu::View,
+        Some((NONE, Key::E)),
+        "Half a stop more",
+    ),
+    entry(
+        Action::ResetExposure,
+        "Reset the exposure",
+        Menu::View,
+        Some((NONE, Key::R)),
+        "Back to no stops",
+    ),
+    entry(
+        Action::ToggleTheme,
+        "Dark or light theme",
+        Menu::View,
+        Some((CTRL, Key::T)),
+        "Change between the dark and the light theme",
+    ),
+    entry(
+        Action::ZoomIn,
+        "Larger text",
+        Menu::View,
+        Some((CTRL, Key::Plus)),
+        "Make everything larger",
+    ),
+    entry(
+        Action::ZoomOut,
+        "Smaller text",
+        Menu::View,
+        Some((CTRL, Key::Minus)),
+        "Make everything smaller",
+    ),
+    entry(
+        Action::ZoomReset,
+        "Normal text",
+        Menu::View,
+        Some((CTRL, Key::Num0)),
+        "Everything at its normal size",
+    ),
+    entry(
+        Action::FullScreen,
+        "Full screen",
+        Menu::View,
+        Some((NONE, Key::F11)),
+        "Fill the whole screen, or go back to a window",
+    ),
+    entry(
+        Action::Palette,
+        "Command palette",
+        Menu::Help,
+        Some((CTRL, Key::P)),
+        "Find any command by its name; Ctrl+K does the same",
+    ),
+    entry(
+        Action::Keys,
+        "All keys",
+        Menu::Help,
+        Some((NONE, Key::Questionmark)),
+        "Show every key and mouse gesture",
+    ),
+];
+
+const fn camera(index: u8, name: &'static str, key: Key) -> Entry {
+    entry(
+        Action::Camera(index),
+        name,
+        Menu::View,
+        Some((NONE, key)),
+        "Look from where this photograph was taken",
+    )
+}
+
+/// The entry of an action.
+pub fn entry_of(action: Action) -> Option<&'static Entry> {
+    ENTRIES.iter().find(|entry| entry.action == action)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_key_has_two_meanings_and_no_longer_one_is_shadowed() {
+        for (i, a) in ENTRIES.iter().enumerate() {
+            for b in &ENTRIES[i + 1..] {
+                assert!(a.action != b.action, "{:?} is listed twice", a.action);
+                assert!(a.name != b.name, "two commands are called {}", a.name);
+                let (Some(a_keys), Some(b_keys)) = (a.keys, b.keys) else {
+                    continue;
+                };
+                assert!(a_keys != b_keys, "{} and {}", a.name, b.name);
+                // egui ignores extra Shift, so a shorter combination must come after.
+                let shadowed = a_keys.logical_key == b_keys.logical_key
+                    && b_keys.modifiers.contains(a_keys.modifiers)
+                    && b_keys.modifiers != a_keys.modifiers;
+                assert!(!shadowed, "{} never hears its key: {}", b.name, a.name);
+            }
+        }
+    }
+}

@@ -1,0 +1,855 @@
+//! The threads behind the window, and the only file that has any: one loads, solves and runs other long tasks, one
+//! renders pictures with the reference renderer.
+//!
+//! Commands and facts go through bounded queues. What grows while a solve runs goes through a [`Latest`] slot, where the
+//! newest state replaces an unread older one, so that a window that is slow, or hidden, never piles up work.
+
+use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use crate::capture::{Camera, Capture, DEMO, unpack_demo};
+use crate::estimate::{Brdf, Interim, Iteration, Observer, SpecularModel, Stopped};
+use crate::hemisphere::{FromAbove, HemisphereGrid, Picture};
+use crate::preflight::Report;
+use crate::relight::{self, Diffuse, Interreflection, Lighting, Scene, Shader, Surroundings};
+use crate::solution::{Solution, SolveOptions, solve};
+use crate::surface::{Atlas, Occluder};
+
+/// Commands that may wait.
+const COMMANDS: usize = 8;
+/// Facts that may wait to be read.
+const EVENTS: usize = 64;
+/// Side of a hemisphere's picture in pixels.
+const PICTURE_SIDE: u32 = 256;
+/// How often a paused solve looks whether it is to stop.
+const PAUSE: Duration = Duration::from_millis(20);
+/// A file dialog that answers sooner than this was never shown.
+const NO_DIALOG: Duration = Duration::from_millis(400);
+
+/// Tells the window to draw again.
+pub type Wake = Arc<dyn Fn() + Send + Sync>;
+
+/// What a long task reports to: what it does, which part of it is done, and whether to go on.
+pub type Tell<'a> = &'a mut dyn FnMut(&str, f32) -> ControlFlow<()>;
+
+/// What can be opened.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The built-in capture.
+    Demo,
+    /// A capture or a solution.
+    Path(PathBuf),
+}
+
+/// Something to be done at length.
+pub enum Command {
+    /// Open a capture or a solution.
+    Open(Source),
+    /// Solve a capture.
+    Solve {
+        /// What to solve.
+        capture: Arc<Capture>,
+        /// How.
+        options: SolveOptions,
+        /// Seconds that loading it took.
+        load_s: f64,
+    },
+    /// Anything else.
+    Task {
+        /// What it does, as in "exporting the picture".
+        what: String,
+        /// The work. It is to return soon after a report is answered by `Break`.
+        work: Box<dyn FnOnce(Tell<'_>) -> anyhow::Result<()> + Send>,
+    },
+}
+
+/// A capture that was opened.
+pub struct OpenedCapture {
+    /// Where it came from.
+    pub source: Source,
+    /// The capture.
+    pub capture: Arc<Capture>,
+    /// What is wrong with it.
+    pub report: Report,
+    /// Seconds that loading it took.
+    pub load_s: f64,
+}
+
+/// A fact that the window must hear of.
+pub enum Event {
+    /// A capture was opened.
+    Capture(Box<OpenedCapture>),
+    /// A solution was opened.
+    Solution {
+        /// Its folder.
+        folder: PathBuf,
+        /// The solution.
+        solution: Arc<Solution>,
+    },
+    /// A solve ended.
+    Solved(Arc<Solution>),
+    /// A task ended.
+    Done {
+        /// What it did.
+        what: String,
+    },
+    /// The running command was stopped.
+    Stopped,
+    /// The running command failed.
+    Failed {
+        /// What was being done, as in "opening the capture".
+        what: String,
+        /// Why it failed and what to do.
+        message: String,
+    },
+    /// A file dialog was answered.
+    Picked {
+        /// What the dialog was for.
+        purpose: Purpose,
+        /// What was chosen, `None` if nothing was.
+        path: Option<PathBuf>,
+    },
+    /// There is no file dialog on this machine.
+    NoDialog(Purpose),
+}
+
+/// What a file dialog is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// Open the folder of a capture or of a solution.
+    OpenFolder,
+    /// Open a file: a project or a `transforms.json`.
+    OpenFile,
+    /// Save the project as.
+    SaveProject,
+    /// Choose a folder to export to.
+    ExportFolder,
+    /// Choose a light probe.
+    LightProbe,
+}
+
+/// A try of a roughness on the coarsest cells.
+#[derive(Clone, Copy, Debug)]
+pub struct Tried {
+    /// The specular model.
+    pub model: SpecularModel,
+    /// Roughness σ, radians.
+    pub sigma: f32,
+    /// What it leaves unexplained, in squares.
+    pub unexplained: f64,
+}
+
+/// An iteration with its lighting.
+pub struct Step {
+    /// Its numbers.
+    pub iteration: Iteration,
+    /// The specular model.
+    pub model: SpecularModel,
+    /// Lit nodes and their radiances, RGB.
+    pub lit: Vec<(u32, [f32; 3])>,
+}
+
+/// The surface's atlas and a first diffuse texture.
+pub struct FirstTexture {
+    /// Where each triangle lies in the texture.
+    pub atlas: Atlas,
+    /// Diffuse radiance per texel, RGB.
+    pub radiance: Vec<[f32; 3]>,
+}
+
+/// All that is known of a running command, most of it of a solve.
+#[derive(Clone)]
+pub struct Progress {
+    /// Number of the command.
+    pub job: u64,
+    /// What is being done.
+    pub stage: String,
+    /// Which part of the whole is done.
+    pub fraction: f32,
+    /// When it began.
+    pub started: Instant,
+    /// Time during which it was paused.
+    pub paused: Duration,
+    /// The nodes.
+    pub grid: Option<Arc<HemisphereGrid>>,
+    /// Makes pictures of the nodes.
+    pub from_above: Option<Arc<FromAbove>>,
+    /// The first diffuse texture.
+    pub texture: Option<Arc<FirstTexture>>,
+    /// Partial hemispheres so far, one per view in order.
+    pub partials: Vec<Arc<Picture>>,
+    /// The initial hemisphere.
+    pub initial: Option<Arc<Picture>>,
+    /// Roughnesses tried.
+    pub tried: Vec<Tried>,
+    /// Iterations so far.
+    pub steps: Vec<Arc<Step>>,
+}
+
+impl Step {
+    /// Radiances of all `nodes` nodes, RGB.
+    pub fn nodes(&self, nodes: usize) -> Vec<[f32; 3]> {
+        let mut radiance = vec![[0.0; 3]; nodes];
+        for &(node, value) in &self.lit {
+            radiance[node as usize] = value;
+        }
+        radiance
+    }
+}
+
+/// A slot whose newest content replaces what was not yet taken.
+pub struct Latest<T> {
+    slot: Mutex<Option<T>>,
+    filled: Condvar,
+}
+
+impl<T> Default for Latest<T> {
+    fn default() -> Self {
+        Self {
+            slot: Mutex::new(None),
+            filled: Condvar::new(),
+        }
+    }
+}
+
+impl<T> Latest<T> {
+    /// Puts something into the slot.
+    pub fn store(&self, value: T) {
+        *self.lock() = Some(value);
+        self.filled.notify_one();
+    }
+
+    /// Takes what is in the slot.
+    pub fn take(&self) -> Option<T> {
+        self.lock().take()
+    }
+
+    fn wait(&self) -> T {
+        let mut slot = self.lock();
+        loop {
+            if let Some(value) = slot.take() {
+                return value;
+            }
+            slot = self
+                .filled
+                .wait(slot)
+                .unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Option<T>> {
+        self.slot.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What the window asks of one command.
+#[derive(Default)]
+struct Control {
+    stop: AtomicBool,
+    enough: AtomicBool,
+    paused: AtomicBool,
+    /// Set for good when the window closes, the same for all commands.
+    closing: Arc<AtomicBool>,
+}
+
+/// A command on its way.
+struct Job {
+    number: u64,
+    command: Command,
+    control: Arc<Control>,
+}
+
+impl Control {
+    fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed) || self.closing.load(Ordering::Relaxed)
+    }
+
+    /// Waits while paused; then whether to go on. Also says how long it waited.
+    fn answer(&self) -> (ControlFlow<()>, Duration) {
+        let since = Instant::now();
+        let mut waited = Duration::ZERO;
+        while self.paused.load(Ordering::Relaxed) && !self.stopped() {
+            std::thread::sleep(PAUSE);
+            waited = since.elapsed();
+        }
+        if self.stopped() {
+            (ControlFlow::Break(()), waited)
+        } else {
+            (ControlFlow::Continue(()), waited)
+        }
+    }
+}
+
+/// What the reference renderer is to show.
+#[derive(Clone)]
+pub enum Subject {
+    /// A solution.
+    Solved(Arc<Solution>),
+    /// An object whose solve is still running: first diffuse texture, specular part as estimated so far.
+    Running {
+        /// The capture.
+        capture: Arc<Capture>,
+        /// Its first texture.
+        texture: Arc<FirstTexture>,
+        /// Specular model and roughness so far.
+        brdf: Brdf,
+    },
+}
+
+/// A picture to be rendered.
+#[derive(Clone)]
+pub struct Shot {
+    /// Comes back with the picture.
+    pub id: u64,
+    /// What to show.
+    pub subject: Subject,
+    /// From where.
+    pub camera: Camera,
+    /// Under which light.
+    pub lighting: Lighting,
+}
+
+/// A picture that was rendered.
+pub struct Rendered {
+    /// The id of its [`Shot`].
+    pub id: u64,
+    /// The camera.
+    pub camera: Camera,
+    /// The picture.
+    pub picture: relight::Picture,
+}
+
+enum Preview {
+    Shot(Box<Shot>),
+    Close,
+}
+
+/// The window's side of the threads. Dropping it stops and joins them.
+pub struct Worker {
+    commands: Option<SyncSender<Job>>,
+    events: Option<Receiver<(u64, Event)>>,
+    dialogs: SyncSender<(u64, Event)>,
+    /// The newest command's.
+    control: Arc<Control>,
+    jobs: u64,
+    progress: Arc<Latest<Arc<Progress>>>,
+    shots: Arc<Latest<Preview>>,
+    pictures: Arc<Latest<Rendered>>,
+    wake: Wake,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Worker {
+    /// Starts the threads. `wake` is called whenever there is something new.
+    pub fn new(wake: Wake) -> std::io::Result<Self> {
+        let (commands, waiting) = sync_channel(COMMANDS);
+        let (facts, events) = sync_channel(EVENTS);
+        let control = Arc::new(Control::default());
+        let progress = Arc::new(Latest::default());
+        let shots = Arc::new(Latest::default());
+        let pictures = Arc::new(Latest::default());
+        let bench = Bench {
+            events: facts.clone(),
+            progress: Arc::clone(&progress),
+            wake: Arc::clone(&wake),
+        };
+        let working = Builder::new()
+            .name("worker".to_owned())
+            .spawn(move || bench.work(&waiting))?;
+        let studio = (Arc::clone(&shots), Arc::clone(&pictures), Arc::clone(&wake));
+        let rendering = Builder::new()
+            .name("preview".to_owned())
+            .spawn(move || preview(&studio.0, &studio.1, &studio.2))?;
+        Ok(Self {
+            commands: Some(commands),
+            events: Some(events),
+            dialogs: facts,
+            control,
+            jobs: 0,
+            progress,
+            shots,
+            pictures,
+            wake,
+            threads: vec![working, rendering],
+        })
+    }
+
+    /// Hands over a command and returns its number. It waits until the one before has ended; `None` if too many are waiting
+    /// already. Stop, pause and finish are about the newest command.
+    pub fn send(&mut self, command: Command) -> Option<u64> {
+        let control = Arc::new(Control {
+            closing: Arc::clone(&self.control.closing),
+            ..Control::default()
+        });
+        let job = Job {
+            number: self.jobs + 1,
+            command,
+            control: Arc::clone(&control),
+        };
+        self.commands.as_ref()?.try_send(job).ok()?;
+        self.control = control;
+        self.jobs += 1;
+        Some(self.jobs)
+    }
+
+    /// The next fact, if there is one, with the number of the command that it is about, 0 for file dialogs.
+    pub fn event(&self) -> Option<(u64, Event)> {
+        self.events.as_ref()?.try_recv().ok()
+    }
+
+    /// The state of the running solve, if it has changed.
+    pub fn progress(&self) -> Option<Arc<Progress>> {
+        self.progress.take()
+    }
+
+    /// Stops the running command.
+    pub fn stop(&self) {
+        self.control.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Ends the running estimation with what it has reached.
+    pub fn finish(&self) {
+        self.control.enough.store(true, Ordering::Relaxed);
+        self.control.paused.store(false, Ordering::Relaxed);
+    }
+
+    /// Pauses the running command or lets it go on.
+    pub fn pause(&self, paused: bool) {
+        self.control.paused.store(paused, Ordering::Relaxed);
+    }
+
+    /// Whether the running command is paused.
+    pub fn is_paused(&self) -> bool {
+        self.control.paused.load(Ordering::Relaxed)
+    }
+
+    /// Renders a picture with the reference renderer, in place of any that is still waiting.
+    pub fn render(&self, shot: Shot) {
+        self.shots.store(Preview::Shot(Box::new(shot)));
+    }
+
+    /// The picture rendered last, if it is new.
+    pub fn rendered(&self) -> Option<Rendered> {
+        self.pictures.take()
+    }
+
+    /// Shows the system's file dialog; the answer comes as an event.
+    pub fn pick(&self, purpose: Purpose, start: Option<&Path>) {
+        let (events, wake) = (self.dialogs.clone(), Arc::clone(&self.wake));
+        let start = start.map(Path::to_owned);
+        let dialog = Builder::new().name("dialog".to_owned()).spawn(move || {
+            let since = Instant::now();
+            let path = ask(purpose, start.as_deref());
+            let event = if path.is_none() && since.elapsed() < NO_DIALOG {
+                Event::NoDialog(purpose)
+            } else {
+                Event::Picked { purpose, path }
+            };
+            if events.send((0, event)).is_ok() {
+                wake();
+            }
+        });
+        if dialog.is_err() && self.dialogs.try_send((0, Event::NoDialog(purpose))).is_ok() {
+            (self.wake)();
+        }
+    }
+}
+
+impl Drop for Worker {
+    fn drop(&mut self) {
+        self.control.closing.store(true, Ordering::Relaxed);
+        self.commands = None;
+        // Without its receiver nothing waits for a place in the queue.
+        self.events = None;
+        self.shots.store(Preview::Close);
+        for thread in self.threads.drain(..) {
+            // A thread that panicked has nothing more to say.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The system's file dialog; returns when it is closed.
+fn ask(purpose: Purpose, start: Option<&Path>) -> Option<PathBuf> {
+    let mut dialog = rfd::FileDialog::new();
+    if let Some(start) = start {
+        dialog = dialog.set_directory(start);
+    }
+    match purpose {
+        Purpose::OpenFolder => dialog
+            .set_title("Open a capture or a solution")
+            .pick_folder(),
+        Purpose::OpenFile => dialog
+            .set_title("Open a project")
+            .add_filter("Projects and captures", &["rekindle", "json"])
+            .pick_file(),
+        Purpose::SaveProject => dialog
+            .set_title("Save the project")
+            .set_file_name("project.rekindle")
+            .save_file(),
+        Purpose::ExportFolder => dialog.set_title("Export to").pick_folder(),
+        Purpose::LightProbe => dialog
+            .set_title("Open a light probe")
+            .add_filter("Light probes", &["hdr", "exr"])
+            .pick_file(),
+    }
+}
+
+/// The worker's side.
+struct Bench {
+    events: SyncSender<(u64, Event)>,
+    progress: Arc<Latest<Arc<Progress>>>,
+    wake: Wake,
+}
+
+impl Bench {
+    fn work(&self, jobs: &Receiver<Job>) {
+        while let Ok(job) = jobs.recv() {
+            if job.control.closing.load(Ordering::Relaxed) {
+                return;
+            }
+            let what = match &job.command {
+                Command::Open(_) => "Opening".to_owned(),
+                Command::Solve { .. } => "Solving".to_owned(),
+                Command::Task { what, .. } => what.clone(),
+            };
+            let (number, control) = (job.number, Arc::clone(&job.control));
+            let result = catch_unwind(AssertUnwindSafe(|| self.run(job, &what)));
+            let event = match result {
+                _ if control.stopped() => Event::Stopped,
+                Ok(Ok(event)) => event,
+                Ok(Err(error)) => Event::Failed {
+                    what,
+                    message: message(&error),
+                },
+                Err(panic) => Event::Failed {
+                    what,
+                    message: format!(
+                        "A mistake in rekindle: {}. Nothing that is open was changed; please report it.",
+                        panic_text(panic.as_ref())
+                    ),
+                },
+            };
+            if self.events.send((number, event)).is_err() {
+                return;
+            }
+            (self.wake)();
+        }
+    }
+
+    fn run(&self, job: Job, what: &str) -> anyhow::Result<Event> {
+        let mut shown = Shown::new(self, job.number, &job.control);
+        match job.command {
+            Command::Open(source) => open(source),
+            Command::Solve {
+                capture,
+                options,
+                load_s,
+            } => Ok(match solve(&capture, &options, load_s, &mut shown) {
+                Ok(solution) => Event::Solved(Arc::new(solution)),
+                Err(Stopped) => Event::Stopped,
+            }),
+            Command::Task { work, .. } => {
+                work(&mut |stage, fraction| shown.progress(stage, fraction))?;
+                Ok(Event::Done {
+                    what: what.to_owned(),
+                })
+            }
+        }
+    }
+}
+
+fn open(source: Source) -> anyhow::Result<Event> {
+    let started = Instant::now();
+    let (capture, pixels) = match &source {
+        Source::Demo => {
+            let folder = tempfile::tempdir()?;
+            unpack_demo(folder.path())?;
+            let (mut capture, pixels) = Capture::load_counting(folder.path())?;
+            DEMO.clone_into(&mut capture.name);
+            (capture, pixels)
+        }
+        Source::Path(path) => {
+            let folder = solution_folder(path);
+            if folder.join("solution.json").is_file() {
+                return Ok(Event::Solution {
+                    folder: folder.to_owned(),
+                    solution: Arc::new(Solution::load(folder)?),
+                });
+            }
+            Capture::load_counting(path)?
+        }
+    };
+    let load_s = started.elapsed().as_secs_f64();
+    let report = Report::new(&capture, &pixels);
+    Ok(Event::Capture(Box::new(OpenedCapture {
+        source,
+        capture: Arc::new(capture),
+        report,
+        load_s,
+    })))
+}
+
+/// The folder of a solution that may be named by its `solution.json`.
+fn solution_folder(path: &Path) -> &Path {
+    let by_file = path.file_name().is_some_and(|name| name == "solution.json");
+    match path.parent() {
+        Some(folder) if by_file && path.is_file() => folder,
+        _ => path,
+    }
+}
+
+/// What went wrong and why. Causes that a message has taken up are not repeated.
+pub fn message(error: &anyhow::Error) -> String {
+    let mut message = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if !message.contains(&cause) {
+            let between = if message.is_empty() { "" } else { ": " };
+            message = message + between + &cause;
+        }
+    }
+    message.replace('\n', " ")
+}
+
+fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
+    panic
+        .downcast_ref::<String>()
+        .map(String::as_str)
+        .or_else(|| panic.downcast_ref::<&str>().copied())
+        .unwrap_or("no message")
+}
+
+/// Shows a solve in the window and hears what the window asks of it.
+struct Shown<'a> {
+    bench: &'a Bench,
+    control: &'a Control,
+    progress: Progress,
+    model: SpecularModel,
+}
+
+impl<'a> Shown<'a> {
+    fn new(bench: &'a Bench, job: u64, control: &'a Control) -> Self {
+        Self {
+            bench,
+            control,
+            progress: Progress {
+                job,
+                stage: String::new(),
+                fraction: 0.0,
+                started: Instant::now(),
+                paused: Duration::ZERO,
+                grid: None,
+                from_above: None,
+                texture: None,
+                partials: Vec::new(),
+                initial: None,
+                tried: Vec::new(),
+                steps: Vec::new(),
+            },
+            model: SpecularModel::Paper,
+        }
+    }
+
+    fn publish(&self) {
+        self.bench.progress.store(Arc::new(self.progress.clone()));
+        (self.bench.wake)();
+    }
+
+    fn go_on(&mut self) -> ControlFlow<()> {
+        let (answer, waited) = self.control.answer();
+        self.progress.paused += waited;
+        answer
+    }
+
+    fn picture(&mut self, grid: &HemisphereGrid, radiance: &[[f32; 3]]) -> Arc<Picture> {
+        if self.progress.grid.is_none() {
+            self.progress.grid = Some(Arc::new(grid.clone()));
+        }
+        let from_above = self
+            .progress
+            .from_above
+            .get_or_insert_with(|| Arc::new(FromAbove::new(grid, PICTURE_SIDE)));
+        Arc::new(from_above.picture(radiance))
+    }
+}
+
+impl Observer for Shown<'_> {
+    fn progress(&mut self, what: &str, fraction: f32) -> ControlFlow<()> {
+        if self.progress.stage != what || self.progress.fraction != fraction {
+            what.clone_into(&mut self.progress.stage);
+            self.progress.fraction = fraction;
+            self.publish();
+        }
+        self.go_on()
+    }
+
+    fn iteration(
+        &mut self,
+        iteration: &Iteration,
+        hemisphere: &dyn Fn() -> Vec<[f32; 3]>,
+    ) -> ControlFlow<()> {
+        let lit = hemisphere()
+            .into_iter()
+            .enumerate()
+            .filter(|(_, radiance)| *radiance != [0.0; 3])
+            .map(|(node, radiance)| (node as u32, radiance))
+            .collect();
+        self.progress.steps.push(Arc::new(Step {
+            iteration: Iteration {
+                elapsed_s: iteration.elapsed_s - self.progress.paused.as_secs_f64(),
+                ..*iteration
+            },
+            model: self.model,
+            lit,
+        }));
+        self.publish();
+        self.go_on()
+    }
+
+    fn interim(&mut self, interim: Interim<'_>) {
+        match interim {
+            Interim::Texture { atlas, radiance } => {
+                self.progress.texture = Some(Arc::new(FirstTexture {
+                    atlas: atlas.clone(),
+                    radiance: radiance.to_vec(),
+                }));
+            }
+            Interim::Partial { grid, radiance, .. } => {
+                let picture = self.picture(grid, radiance);
+                self.progress.partials.push(picture);
+            }
+            Interim::Initial { grid, radiance } => {
+                self.progress.initial = Some(self.picture(grid, radiance));
+            }
+            Interim::Lobe(model) => self.model = model,
+            Interim::Tried {
+                model,
+                sigma,
+                unexplained,
+            } => self.progress.tried.push(Tried {
+                model,
+                sigma,
+                unexplained,
+            }),
+        }
+        self.publish();
+    }
+
+    fn enough(&mut self) -> bool {
+        self.control.enough.load(Ordering::Relaxed)
+    }
+}
+
+/// What the reference renderer needs of a subject beside the subject itself.
+struct Prepared {
+    occluder: Occluder,
+    interreflection: Option<Interreflection>,
+}
+
+impl Subject {
+    fn is_same_object(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Solved(a), Self::Solved(b)) => Arc::ptr_eq(a, b),
+            (Self::Running { capture: a, .. }, Self::Running { capture: b, .. }) => {
+                Arc::ptr_eq(a, b)
+            }
+            _ => false,
+        }
+    }
+
+    fn prepare(&self) -> Prepared {
+        match self {
+            Self::Solved(solution) => {
+                let occluder = Occluder::new(&solution.mesh);
+                let interreflection =
+                    Interreflection::new(&solution.mesh, &occluder, solution.brdf);
+                Prepared {
+                    occluder,
+                    interreflection,
+                }
+            }
+            Self::Running { capture, .. } => Prepared {
+                occluder: Occluder::new(&capture.mesh),
+                interreflection: None,
+            },
+        }
+    }
+}
+
+/// Renders shots, always the newest, until told to close.
+fn preview(shots: &Latest<Preview>, pictures: &Latest<Rendered>, wake: &Wake) {
+    let mut last: Option<(Subject, Prepared)> = None;
+    while let Preview::Shot(shot) = shots.wait() {
+        let prepared = match last.take() {
+            Some((subject, prepared)) if subject.is_same_object(&shot.subject) => prepared,
+            _ => shot.subject.prepare(),
+        };
+        let picture = catch_unwind(AssertUnwindSafe(|| take_picture(&shot, &prepared)));
+        if let Ok(picture) = picture {
+            pictures.store(Rendered {
+                id: shot.id,
+                camera: shot.camera,
+                picture,
+            });
+            wake();
+        }
+        last = Some((shot.subject, prepared));
+    }
+}
+
+fn take_picture(shot: &Shot, prepared: &Prepared) -> relight::Picture {
+    match &shot.subject {
+        Subject::Solved(solution) => take_solved(shot, solution, prepared),
+        Subject::Running {
+            capture,
+            texture,
+            brdf,
+        } => {
+            let shader = Shader::new(&prepared.occluder, Some(*brdf), &shot.lighting);
+            let scene = Scene {
+                mesh: &capture.mesh,
+                occluder: &prepared.occluder,
+                brdf: Some(*brdf),
+                surroundings: None,
+            };
+            let diffuse = Diffuse::Stored(&texture.atlas, &texture.radiance);
+            relight::render(&scene, &shot.camera, &shader, diffuse)
+        }
+    }
+}
+
+/// A solution as `rekindle render` shows it.
+fn take_solved(shot: &Shot, solution: &Solution, prepared: &Prepared) -> relight::Picture {
+    let shader = Shader::new(&prepared.occluder, solution.brdf, &shot.lighting);
+    let unchanged = shot.lighting == solution.lighting();
+    let atlas = &solution.atlas;
+    let (texture, diffuse) = if unchanged {
+        let texture = &solution.diffuse;
+        (texture, Diffuse::Stored(atlas, texture))
+    } else {
+        let texture = &solution.albedo;
+        (texture, Diffuse::Relit(atlas, texture))
+    };
+    let interreflection = prepared.interreflection.as_ref();
+    let relit = interreflection
+        .filter(|_| !unchanged)
+        .map(|i| i.of_light(&solution.mesh, &shader, atlas, texture));
+    let scene = Scene {
+        mesh: &solution.mesh,
+        occluder: &prepared.occluder,
+        brdf: solution.brdf,
+        surroundings: interreflection.map(|interreflection| Surroundings {
+            interreflection,
+            atlas,
+            texture,
+            relit: relit.as_ref(),
+        }),
+    };
+    relight::render(&scene, &shot.camera, &shader, diffuse)
+}
