@@ -1,5 +1,6 @@
 //! rekindle relights a captured object.
 
+pub mod app;
 pub mod capture;
 pub mod cli;
 #[cfg(test)]
@@ -12,3 +13,4 @@ pub mod relight;
 pub mod solution;
 pub mod studio;
 pub mod surface;
+pub mod worker;

@@ -16,9 +16,9 @@ use std::time::{Duration, Instant};
 use crate::capture::{Camera, Capture, DEMO, unpack_demo};
 use crate::estimate::{Brdf, Interim, Iteration, Observer, SpecularModel, Stopped};
 use crate::hemisphere::{FromAbove, HemisphereGrid, Picture};
-use crate::preflight::Report;
+use crate::preflight::{Report, Thumbnail};
 use crate::relight::{self, Diffuse, Interreflection, Lighting, Scene, Shader, Surroundings};
-use crate::solution::{Solution, SolveOptions, solve};
+use crate::solution::{Solution, SolveOptions, solution_folder, solve};
 use crate::surface::{Atlas, Occluder};
 
 /// Commands that may wait.
@@ -77,6 +77,8 @@ pub struct OpenedCapture {
     pub capture: Arc<Capture>,
     /// What is wrong with it.
     pub report: Report,
+    /// A small picture of every view.
+    pub thumbnails: Vec<Thumbnail>,
     /// Seconds that loading it took.
     pub load_s: f64,
 }
@@ -588,21 +590,16 @@ fn open(source: Source) -> anyhow::Result<Event> {
     };
     let load_s = started.elapsed().as_secs_f64();
     let report = Report::new(&capture, &pixels);
+    let occluder = Occluder::new(&capture.mesh);
+    let small = |view| Thumbnail::new(view, &capture.mesh, &occluder);
+    let thumbnails = capture.views.iter().map(small).collect();
     Ok(Event::Capture(Box::new(OpenedCapture {
         source,
         capture: Arc::new(capture),
         report,
+        thumbnails,
         load_s,
     })))
-}
-
-/// The folder of a solution that may be named by its `solution.json`.
-fn solution_folder(path: &Path) -> &Path {
-    let by_file = path.file_name().is_some_and(|name| name == "solution.json");
-    match path.parent() {
-        Some(folder) if by_file && path.is_file() => folder,
-        _ => path,
-    }
 }
 
 /// What went wrong and why. Causes that a message has taken up are not repeated.

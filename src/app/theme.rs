@@ -194,6 +194,83 @@ pub fn stage() -> egui::Frame {
     egui::Frame::new().fill(STAGE)
 }
 
+/// The marks of messages and findings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mark {
+    /// All well.
+    Good,
+    /// To know.
+    Note,
+    /// Worth a thought.
+    Warning,
+    /// Wrong.
+    Error,
+}
+
+impl Mark {
+    /// Its colour.
+    pub fn colour(self, ui: &egui::Ui) -> Color32 {
+        let palette = palette(ui);
+        match self {
+            Self::Good => palette.good,
+            Self::Note => palette.curves[1],
+            Self::Warning => palette.warning,
+            Self::Error => palette.error,
+        }
+    }
+
+    /// Draws it: a disc with a tick, an i, an exclamation mark or a cross, whatever the fonts hold.
+    pub fn show(self, ui: &mut egui::Ui) -> egui::Response {
+        let (rect, response) = ui.allocate_exact_size(Vec2::splat(18.0), egui::Sense::hover());
+        let painter = ui.painter_at(rect);
+        let middle = rect.center();
+        let colour = self.colour(ui);
+        painter.circle_filled(middle, 8.0, colour.gamma_multiply(0.22));
+        let stroke = Stroke::new(1.8, colour);
+        let line = |a: [f32; 2], b: [f32; 2]| {
+            painter.line_segment([middle + Vec2::from(a), middle + Vec2::from(b)], stroke);
+        };
+        match self {
+            Self::Good => {
+                line([-3.6, 0.2], [-1.0, 3.0]);
+                line([-1.0, 3.0], [3.8, -3.0]);
+            }
+            Self::Note => {
+                painter.circle_filled(middle - Vec2::new(0.0, 3.6), 1.2, colour);
+                line([0.0, -0.8], [0.0, 4.0]);
+            }
+            Self::Warning => {
+                line([0.0, -4.2], [0.0, 1.0]);
+                painter.circle_filled(middle + Vec2::new(0.0, 3.8), 1.2, colour);
+            }
+            Self::Error => {
+                line([-3.0, -3.0], [3.0, 3.0]);
+                line([-3.0, 3.0], [3.0, -3.0]);
+            }
+        }
+        response
+    }
+}
+
+/// A small button with a cross, called `name`.
+pub fn close_button(ui: &mut egui::Ui, name: &str, tip: &str) -> egui::Response {
+    let (rect, response) = ui.allocate_exact_size(Vec2::splat(20.0), egui::Sense::click());
+    let visuals = ui.style().interact(&response);
+    if response.hovered() || response.has_focus() {
+        ui.painter()
+            .rect_filled(rect, CornerRadius::same(4), visuals.weak_bg_fill);
+    }
+    let stroke = Stroke::new(1.4, visuals.fg_stroke.color);
+    let inner = rect.shrink(6.0);
+    ui.painter()
+        .line_segment([inner.left_top(), inner.right_bottom()], stroke);
+    ui.painter()
+        .line_segment([inner.right_top(), inner.left_bottom()], stroke);
+    let label = name.to_owned();
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, label.clone()));
+    response.on_hover_text(tip)
+}
+
 /// A heading over a group of widgets.
 pub fn group(ui: &mut egui::Ui, text: &str) {
     ui.label(

@@ -2,6 +2,7 @@
 //! printed here, once.
 
 mod demo;
+mod gui;
 mod info;
 mod info_solution;
 mod interrupt;
@@ -9,24 +10,29 @@ mod progress;
 mod render;
 mod solve;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
 use clap::{Args, Parser, Subcommand};
 use interrupt::{INTERRUPTED, Interrupted};
 
+use crate::worker::message;
+
 /// Exit status for bad input and usage, as clap's own.
 const BAD_INPUT: u8 = 2;
 
 /// Relights a captured object: recovers texture, roughness and lighting from a few HDR photographs.
 ///
-/// Without a command, the built-in demo is solved and relit in ./rekindle-demo.
+/// Without a command, the window opens. Where there is no display, or with --quiet or --json, the built-in demo is
+/// solved and relit in ./rekindle-demo instead.
 #[derive(Parser)]
-#[command(name = "rekindle", version)]
+#[command(name = "rekindle", version, args_conflicts_with_subcommands = true)]
 struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
+    /// Folder of a capture or of a solution, or a project, to open in the window
+    path: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -48,6 +54,13 @@ struct OutputArgs {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Open the window
+    Gui {
+        /// Folder of a capture or of a solution, or a project
+        path: Option<PathBuf>,
+    },
+    /// Solve the built-in capture and relight it in ./rekindle-demo
+    Demo,
     /// Recover texture, roughness and lighting of a capture
     Solve(solve::SolveArgs),
     /// Render a solution from other viewpoints and under other light
@@ -80,18 +93,6 @@ pub fn run() -> ExitCode {
     }
 }
 
-/// What went wrong and why, in one line. Causes that a message has taken up are not repeated.
-fn message(error: &anyhow::Error) -> String {
-    let mut message = String::new();
-    for cause in error.chain().map(ToString::to_string) {
-        if !message.contains(&cause) {
-            let between = if message.is_empty() { "" } else { ": " };
-            message = message + between + &cause;
-        }
-    }
-    message.replace('\n', " ")
-}
-
 fn execute(cli: &Cli) -> anyhow::Result<()> {
     interrupt::listen()?;
     if let Some(threads) = cli.output.threads {
@@ -101,26 +102,19 @@ fn execute(cli: &Cli) -> anyhow::Result<()> {
             .context("can't start the threads")?;
     }
     match &cli.command {
-        None => demo::run(cli.output),
+        None => gui::run_or_demo(cli.path.as_deref(), cli.output),
+        Some(Command::Gui { path }) => gui::run(path.as_deref()),
+        Some(Command::Demo) => demo::run(cli.output),
         Some(Command::Solve(args)) => solve::run(args, cli.output),
         Some(Command::Render(args)) => render::run(args, cli.output),
         Some(Command::Info { path }) => {
-            let folder = solution_folder(path);
+            let folder = crate::solution::solution_folder(path);
             if folder.join("solution.json").is_file() {
                 info_solution::run(folder, cli.output)
             } else {
                 info::run(path, cli.output.json)
             }
         }
-    }
-}
-
-/// The folder of a solution that may be named by its `solution.json`.
-fn solution_folder(path: &Path) -> &Path {
-    let by_file = path.file_name().is_some_and(|name| name == "solution.json");
-    match path.parent() {
-        Some(folder) if by_file && path.is_file() => folder,
-        _ => path,
     }
 }
 

@@ -9,10 +9,10 @@ use glam::Vec3;
 
 use super::interrupt;
 use super::progress::Progress;
-use super::{OutputArgs, print_json, print_line, solution_folder};
+use super::{OutputArgs, print_json, print_line};
 use crate::capture::{Camera, read_cameras};
 use crate::relight::{self, Diffuse, Edit, Interreflection, Picture, Scene, Shader, Surroundings};
-use crate::solution::{Solution, Staging, write_rgb, write_rgba};
+use crate::solution::{Solution, Staging, solution_folder, write_rgb, write_rgba};
 use crate::surface::Occluder;
 
 /// Arguments of `rekindle render`.
@@ -128,7 +128,7 @@ impl<'a> Renderer<'a> {
             solution,
             occluder,
             interreflection,
-            white: white(solution),
+            white: solution.white(),
         }
     }
 
@@ -223,24 +223,6 @@ impl<'a> Renderer<'a> {
         }
         Ok(())
     }
-}
-
-/// Radiance shown as white: a little above the brightest diffuse parts under the light of the capture, so that all pictures
-/// of a solution have one exposure and highlights can be told from them.
-fn white(solution: &Solution) -> f32 {
-    let mut means: Vec<f32> = solution
-        .diffuse
-        .iter()
-        .zip(&solution.confidence)
-        .filter(|(_, c)| **c > 0.1)
-        .map(|(d, _)| d.iter().sum::<f32>() / 3.0)
-        .collect();
-    if means.is_empty() {
-        return 1.0;
-    }
-    let at = (means.len() - 1) * 98 / 100;
-    let bright = *means.select_nth_unstable_by(at, f32::total_cmp).1;
-    (1.3 * bright).max(f32::MIN_POSITIVE)
 }
 
 /// Writes a tone-mapped picture: sRGB, 8 bits, straight alpha.

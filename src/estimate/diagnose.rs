@@ -66,7 +66,8 @@ pub fn no_specular(state: &State<'_>) -> Option<String> {
 }
 
 /// What is said where the user wanted the result before it had settled.
-pub const ENDED_EARLY: &str = "The estimation was ended before it had settled: roughness and lights are preliminary.";
+pub const ENDED_EARLY: &str =
+    "The estimation was ended before it had settled: roughness and lights are preliminary.";
 
 /// What is said where the light has no detail.
 const NO_DETAIL: &str = "The lighting has no detail sharp enough to tell its own blur from the surface's roughness, as under a uniform \

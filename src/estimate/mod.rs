@@ -34,8 +34,8 @@ use alternating::Order;
 use cells::Pyramid;
 use fast::{CoarseFit, Fit, Solver, Watch};
 pub use model::{Brdf, LobeValue, SpecularModel, ViewTerms};
-pub(crate) use observer::watched;
 use observer::Watcher;
+pub(crate) use observer::watched;
 pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 
 /// How the minimum is sought.

@@ -70,6 +70,13 @@ pub fn srgb(linear: f32) -> f32 {
     }
 }
 
+/// Unit directions to the right and to the top (north) of pictures from above: see [`FromAbove::new`].
+pub fn from_above_axes(up: Vec3) -> [Vec3; 2] {
+    let axis = if up.x.abs() > 0.9 { Vec3::Z } else { Vec3::X };
+    let right = (axis - axis.dot(up) * up).normalize_or_zero();
+    [right, up.cross(right)]
+}
+
 /// Pictures of a hemisphere seen from straight above: which nodes each pixel shows.
 pub struct FromAbove {
     side: u32,
@@ -82,13 +89,7 @@ impl FromAbove {
     /// on the right and −Z (north) at the top; with up = +Z, +X and +Y: right is the world's X axis laid into the
     /// horizon (or its Z axis where up is X), and the top is up × right.
     pub fn new(grid: &HemisphereGrid, side: u32) -> Self {
-        let axis = if grid.up.x.abs() > 0.9 {
-            Vec3::Z
-        } else {
-            Vec3::X
-        };
-        let right = (axis - axis.dot(grid.up) * grid.up).normalize_or_zero();
-        let north = grid.up.cross(right);
+        let [right, north] = from_above_axes(grid.up);
         let fine = (side * SAMPLES) as f32;
         let nodes = (0..side * side)
             .into_par_iter()

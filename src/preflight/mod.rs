@@ -7,9 +7,11 @@
 mod findings;
 mod mesh;
 mod shared;
+mod thumbnail;
 mod view;
 
 pub use mesh::MeshReport;
+pub use thumbnail::Thumbnail;
 pub use view::ViewReport;
 
 use crate::capture::{Capture, PixelCounts};

@@ -133,6 +133,24 @@ impl Solution {
         seen as f32 / used.max(1) as f32
     }
 
+    /// Radiance shown as white: a little above the brightest diffuse parts under the light of the capture, so that all
+    /// pictures of a solution have one exposure and highlights can be told from them.
+    pub fn white(&self) -> f32 {
+        let mut means: Vec<f32> = self
+            .diffuse
+            .iter()
+            .zip(&self.confidence)
+            .filter(|(_, c)| **c > 0.1)
+            .map(|(d, _)| d.iter().sum::<f32>() / 3.0)
+            .collect();
+        if means.is_empty() {
+            return 1.0;
+        }
+        let at = (means.len() - 1) * 98 / 100;
+        let bright = *means.select_nth_unstable_by(at, f32::total_cmp).1;
+        (1.3 * bright).max(f32::MIN_POSITIVE)
+    }
+
     /// Writes the solution; one that is there already is replaced once everything is written.
     /// Returns the seconds of all stages, writing and total included.
     pub fn save(&self, folder: &Path) -> Result<Vec<(String, f64)>, SolutionError> {
@@ -361,6 +379,15 @@ impl Solution {
             confidence: confidence.map_err(|what| damaged("confidence.exr", what))?,
             pictures: Vec::new(),
         })
+    }
+}
+
+/// The folder of a solution that may be named by its `solution.json`.
+pub fn solution_folder(path: &Path) -> &Path {
+    let by_file = path.file_name().is_some_and(|name| name == "solution.json");
+    match path.parent() {
+        Some(folder) if by_file && path.is_file() => folder,
+        _ => path,
     }
 }
 

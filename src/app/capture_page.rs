@@ -1,0 +1,400 @@
+//! The page of a capture before it is solved: what is in it, what is wrong with it, and how to estimate.
+
+use std::sync::Arc;
+
+use eframe::egui::{
+    self, Button, Color32, ColorImage, CornerRadius, Grid, RichText, ScrollArea, Sense, Stroke,
+    StrokeKind, TextureHandle, TextureOptions, vec2,
+};
+
+use super::commands::Action;
+use super::settings::Estimation;
+use super::theme::Mark;
+use super::{Request, Shared, theme};
+use crate::capture::Capture;
+use crate::estimate::{Method, SpecularModel};
+use crate::preflight::{Finding, Severity, Thumbnail};
+use crate::worker::OpenedCapture;
+
+/// Narrowest thumbnail, points.
+const THUMBNAIL: f32 = 210.0;
+
+/// A capture as the page shows it.
+pub struct CapturePage {
+    opened: OpenedCapture,
+    /// Photograph and outline of each view.
+    textures: Vec<[TextureHandle; 2]>,
+    /// A view shown large.
+    large: Option<usize>,
+}
+
+impl CapturePage {
+    /// Shows a capture that was opened.
+    pub fn new(ctx: &egui::Context, opened: OpenedCapture) -> Self {
+        let textures = opened
+            .thumbnails
+            .iter()
+            .enumerate()
+            .map(|(i, thumbnail)| upload(ctx, i, thumbnail))
+            .collect();
+        Self {
+            opened,
+            textures,
+            large: None,
+        }
+    }
+
+    /// The capture.
+    pub fn capture(&self) -> &Arc<Capture> {
+        &self.opened.capture
+    }
+
+    /// Seconds that loading it took.
+    pub fn load_s(&self) -> f64 {
+        self.opened.load_s
+    }
+
+    /// Shows the page.
+    pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        egui::Panel::left("capture facts")
+            .frame(theme::side(ui))
+            .resizable(true)
+            .default_size(theme::SIDE)
+            .size_range(240.0..=420.0)
+            .show(ui, |ui| {
+                egui::Panel::bottom("estimate")
+                    .frame(egui::Frame::new())
+                    .show_separator_line(false)
+                    .show(ui, |ui| {
+                        ui.add_space(8.0);
+                        self.start_ui(ui, shared);
+                    });
+                ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                    self.facts_ui(ui);
+                    ui.add_space(theme::GAP);
+                    theme::group(ui, "Estimation");
+                    estimation_ui(ui, &mut shared.settings.estimation);
+                });
+            });
+        let frame = theme::side(ui);
+        egui::CentralPanel::default().frame(frame).show(ui, |ui| {
+            ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                self.views_ui(ui, shared);
+                ui.add_space(theme::GAP);
+                self.findings_ui(ui);
+            });
+        });
+    }
+
+    fn start_ui(&self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        let hopeless = self
+            .opened
+            .report
+            .findings
+            .iter()
+            .any(|f| f.severity == Severity::Error);
+        let button = theme::main_button(ui, "Estimate").min_size(vec2(0.0, 38.0));
+        let tip = if hopeless {
+            "There are errors: a solve makes little sense before they are put right (Ctrl+Enter)"
+        } else {
+            "Estimate roughness and lights (Ctrl+Enter)"
+        };
+        let start = ui.vertical_centered_justified(|ui| {
+            ui.add_enabled(!shared.busy, button).on_hover_text(tip)
+        });
+        if start.inner.clicked() {
+            shared.actions.push(Request::Action(Action::Solve));
+        }
+    }
+
+    fn facts_ui(&self, ui: &mut egui::Ui) {
+        let report = &self.opened.report;
+        ui.heading(&report.capture);
+        ui.add_space(4.0);
+        let [none, one, two, more] = report.seen_by.map(|share| 100.0 * share);
+        let views = report.views.len();
+        let first = &report.views[0];
+        let radius = report
+            .radius
+            .map_or("distant".to_owned(), |r| format!("at distance {r}"));
+        let facts = [
+            (
+                "Views",
+                format!("{views} of {}×{}", first.width, first.height),
+            ),
+            ("Triangles", grouped(report.mesh.triangles)),
+            ("Lights", radius),
+            ("Seen by 3 or more", format!("{more:.1} %")),
+            ("Seen by 2", format!("{two:.1} %")),
+            ("Seen by 1", format!("{one:.1} %")),
+            ("Not seen", format!("{none:.1} %")),
+            ("Read in", format!("{:.1} s", self.opened.load_s)),
+        ];
+        Grid::new("facts").num_columns(2).show(ui, |ui| {
+            for (name, value) in facts {
+                ui.weak(name);
+                ui.label(value);
+                ui.end_row();
+            }
+        });
+    }
+
+    fn views_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        ui.horizontal(|ui| {
+            theme::group(ui, "Photographs");
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                ui.checkbox(&mut shared.settings.outline, "Outline of the mesh")
+                    .on_hover_text("Lay the mesh's outline, as each camera sees it, over the photographs: it must fit");
+                if self.large.is_some()
+                    && ui
+                        .button("All views")
+                        .on_hover_text("Back to all photographs")
+                        .clicked()
+                {
+                    self.large = None;
+                }
+            });
+        });
+        let outline = shared.settings.outline;
+        if let Some(i) = self.large {
+            let width = ui.available_width();
+            if self.view_ui(ui, i, width, outline).clicked() {
+                self.large = None;
+            }
+            return;
+        }
+        let gap = ui.spacing().item_spacing.x;
+        let room = ui.available_width();
+        let columns = (((room + gap) / (THUMBNAIL + gap)) as usize).clamp(1, 4);
+        let width = (room - gap * (columns as f32 - 1.0)) / columns as f32 - 1.0;
+        Grid::new("views")
+            .num_columns(columns)
+            .spacing([gap, gap])
+            .show(ui, |ui| {
+                for i in 0..self.textures.len() {
+                    if self.view_ui(ui, i, width, outline).clicked() {
+                        self.large = Some(i);
+                    }
+                    if (i + 1) % columns == 0 {
+                        ui.end_row();
+                    }
+                }
+            });
+    }
+
+    /// A photograph with its outline and name.
+    fn view_ui(&self, ui: &mut egui::Ui, i: usize, width: f32, outline: bool) -> egui::Response {
+        let [photograph, edge] = &self.textures[i];
+        let size = photograph.size_vec2();
+        let (rect, response) =
+            ui.allocate_exact_size(vec2(width, width * size.y / size.x), Sense::click());
+        let name = self.opened.report.views[i].name.clone();
+        let painter = ui.painter_at(rect);
+        painter.rect_filled(rect, CornerRadius::same(6), theme::STAGE);
+        let all = egui::Rect::from_min_max(egui::pos2(0.0, 0.0), egui::pos2(1.0, 1.0));
+        painter.image(photograph.id(), rect, all, Color32::WHITE);
+        if outline {
+            painter.image(edge.id(), rect, all, theme::palette(ui).accent);
+        }
+        let worst = self.worst(&name);
+        let text = format!("{}  {name}", i + 1);
+        painter.text(
+            rect.left_bottom() + vec2(8.0, -6.0),
+            egui::Align2::LEFT_BOTTOM,
+            text,
+            egui::TextStyle::Small.resolve(ui.style()),
+            theme::ON_STAGE,
+        );
+        let stroke = match worst {
+            Some(severity @ (Severity::Warning | Severity::Error)) => {
+                Stroke::new(1.5, mark(severity).colour(ui))
+            }
+            _ if response.hovered() => Stroke::new(1.0, theme::palette(ui).accent),
+            _ => Stroke::NONE,
+        };
+        painter.rect_stroke(rect, CornerRadius::same(6), stroke, StrokeKind::Inside);
+        response.widget_info(|| {
+            egui::WidgetInfo::labeled(egui::Role::Button, true, format!("View {name}"))
+        });
+        response.on_hover_text(self.view_tip(i))
+    }
+
+    fn view_tip(&self, i: usize) -> String {
+        let view = &self.opened.report.views[i];
+        let all = f64::from(view.width) * f64::from(view.height);
+        let share = 100.0 * view.object_pixels as f64 / all;
+        let mut tip = format!(
+            "{}\n{}×{} pixels, {share:.1} % of them show the object",
+            view.name, view.width, view.height
+        );
+        if let Some(iou) = view.silhouette_iou {
+            tip += &format!("\nSilhouettes overlap by {:.2} %", 100.0 * iou);
+        }
+        if let Some(exposure) = view.relative_exposure {
+            tip += &format!("\nExposure against the other views {exposure:.3}");
+        }
+        tip + "\nClick to see it large"
+    }
+
+    fn worst(&self, name: &str) -> Option<Severity> {
+        let findings = self.opened.report.findings.iter();
+        findings
+            .filter(|f| f.subject == name)
+            .map(|f| f.severity)
+            .max()
+    }
+
+    fn findings_ui(&self, ui: &mut egui::Ui) {
+        theme::group(ui, "Findings");
+        for finding in &self.opened.report.findings {
+            finding_ui(ui, finding);
+        }
+    }
+}
+
+fn finding_ui(ui: &mut egui::Ui, finding: &Finding) {
+    let word = match finding.severity {
+        Severity::Ok => "Good",
+        Severity::Note => "Note",
+        Severity::Warning => "Warning",
+        Severity::Error => "Error",
+    };
+    theme::card(ui).show(ui, |ui| {
+        ui.set_width(ui.available_width());
+        ui.horizontal_top(|ui| {
+            mark(finding.severity).show(ui).on_hover_text(word);
+            ui.vertical(|ui| {
+                ui.horizontal_wrapped(|ui| {
+                    ui.label(RichText::new(&finding.subject).strong());
+                    ui.label(&finding.message);
+                });
+                if !finding.advice.is_empty() {
+                    ui.weak(&finding.advice);
+                }
+            });
+        });
+    });
+}
+
+fn mark(severity: Severity) -> Mark {
+    match severity {
+        Severity::Ok => Mark::Good,
+        Severity::Note => Mark::Note,
+        Severity::Warning => Mark::Warning,
+        Severity::Error => Mark::Error,
+    }
+}
+
+/// How to estimate.
+pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
+    Grid::new("estimation").num_columns(2).show(ui, |ui| {
+        let label = ui.label("Method");
+        let name = |method| match method {
+            Method::Fast => "Fast",
+            Method::Amuh => "AMUH (paper)",
+            Method::Amhu => "AMHU (paper)",
+        };
+        egui::ComboBox::from_id_salt("method")
+            .selected_text(name(settings.method))
+            .show_ui(ui, |ui| {
+                for (method, tip) in [
+                    (Method::Fast, "Variable projection with the diffuse colours eliminated"),
+                    (Method::Amuh, "The paper's alternation, lights first: slower and less exact, for comparison"),
+                    (Method::Amhu, "The paper's alternation, roughness first: slower and less exact, for comparison"),
+                ] {
+                    ui.selectable_value(&mut settings.method, method, name(method)).on_hover_text(tip);
+                }
+            })
+            .response
+            .labelled_by(label.id)
+            .on_hover_text("How roughness and lights are estimated");
+        ui.end_row();
+        let label = ui.label("Specular model");
+        let name = |model| match model {
+            None => "Whichever fits",
+            Some(SpecularModel::Paper) => "Paper's (eq. 4)",
+            Some(SpecularModel::Microfacet) => "Microfacet",
+        };
+        egui::ComboBox::from_id_salt("specular")
+            .selected_text(name(settings.specular))
+            .show_ui(ui, |ui| {
+                for model in [None, Some(SpecularModel::Paper), Some(SpecularModel::Microfacet)] {
+                    ui.selectable_value(&mut settings.specular, model, name(model));
+                }
+            })
+            .response
+            .labelled_by(label.id)
+            .on_hover_text("Form of the specular lobe: the paper's, a microfacet's with Fresnel and masking, or whichever leaves less unexplained");
+        ui.end_row();
+        let label = ui.label("Frequency");
+        ui.add(egui::DragValue::new(&mut settings.frequency).range(8..=200))
+            .labelled_by(label.id)
+            .on_hover_text("Parts into which each edge of the lights' icosahedron is divided; 70 makes 24,641 nodes");
+        ui.end_row();
+        let label = ui.label("Lights");
+        ui.horizontal(|ui| {
+            let mut near = settings.radius.is_some();
+            ui.checkbox(&mut near, "At distance")
+                .on_hover_text("Seek the lights at this distance from the object's centre, in mesh units, instead of where the capture says");
+            if near != settings.radius.is_some() {
+                settings.radius = near.then_some(3.0);
+            }
+            if let Some(radius) = &mut settings.radius {
+                ui.add(egui::DragValue::new(radius).range(1e-3..=1e6).speed(0.02))
+                    .labelled_by(label.id)
+                    .on_hover_text("Distance from the object's centre, mesh units");
+            }
+        });
+        ui.end_row();
+    });
+    let changed = *settings != Estimation::default();
+    let reset = ui
+        .add_enabled(changed, Button::new("Reset settings"))
+        .on_hover_text("Back to the settings that suit most captures");
+    if reset.clicked() {
+        *settings = Estimation::default();
+    }
+}
+
+fn upload(ctx: &egui::Context, i: usize, thumbnail: &Thumbnail) -> [TextureHandle; 2] {
+    let size = [thumbnail.width as usize, thumbnail.height as usize];
+    let photograph = ColorImage::new(
+        size,
+        thumbnail
+            .photograph
+            .iter()
+            .map(|&[r, g, b]| Color32::from_rgb(r, g, b))
+            .collect(),
+    );
+    let outline = ColorImage::new(
+        size,
+        thumbnail
+            .outline
+            .iter()
+            .map(|&edge| {
+                if edge {
+                    Color32::WHITE
+                } else {
+                    Color32::TRANSPARENT
+                }
+            })
+            .collect(),
+    );
+    [
+        ctx.load_texture(format!("view {i}"), photograph, TextureOptions::LINEAR),
+        ctx.load_texture(format!("outline {i}"), outline, TextureOptions::LINEAR),
+    ]
+}
+
+/// A number with its thousands apart.
+pub(super) fn grouped(number: usize) -> String {
+    let digits = number.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}

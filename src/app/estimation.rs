@@ -1,0 +1,630 @@
+//! The page of an estimation: it is watched while it converges, and looked back at afterwards.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use eframe::egui::{self, Button, ProgressBar, RichText, Sense, Slider};
+use glam::Vec3;
+
+use super::capture_page::estimation_ui;
+use super::commands::Action;
+use super::disc::{self, DiscTexture};
+use super::plots::{self, Marks};
+use super::viewport::Viewport;
+use super::{Request, Shared, theme};
+use crate::capture::Capture;
+use crate::estimate::{Brdf, Iteration};
+use crate::hemisphere::{HemisphereGrid, Picture};
+use crate::relight::{LampNodes, LightNode, Lighting};
+use crate::solution::Solution;
+use crate::worker::{Progress, Rendered, Step, Subject};
+
+/// Frequency of the patches into which the lighting is divided for a quick picture.
+const PATCHES: u32 = 4;
+/// Lit nodes from which on neighbours are joined for a quick picture …
+const MANY: usize = 300;
+/// … on a grid of this frequency.
+const JOINED: u32 = 10;
+/// Below this part of the whole the time left is a guess not worth showing.
+const TELLING: f32 = 0.08;
+
+/// How far it has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Running,
+    Stopping,
+    Stopped,
+    Done,
+}
+
+/// Which lighting is looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Look {
+    /// Whatever is newest.
+    Newest,
+    /// A view's partial hemisphere.
+    Partial(usize),
+    /// The initial hemisphere.
+    Initial,
+    /// An iteration, by index.
+    Step(usize),
+}
+
+/// A picture of an iteration's lighting, kept until another is wanted.
+#[derive(Default)]
+struct StepPicture {
+    of: Option<(usize, Arc<Picture>)>,
+    texture: DiscTexture,
+}
+
+/// An estimation, running or ended.
+pub struct Estimation {
+    job: u64,
+    capture: Arc<Capture>,
+    state: State,
+    progress: Option<Arc<Progress>>,
+    solution: Option<Arc<Solution>>,
+    viewport: Viewport,
+    look: Look,
+    /// An iteration to compare with.
+    other: Option<usize>,
+    main: StepPicture,
+    beside: StepPicture,
+    partials: Vec<DiscTexture>,
+    initial: DiscTexture,
+}
+
+impl Estimation {
+    /// An estimation that was just started as command `job`.
+    pub fn new(capture: Arc<Capture>, job: u64) -> Self {
+        let up = capture.light_hemisphere.up.as_vec3();
+        let mut viewport = Viewport::new(&capture.mesh, up, &capture.views);
+        viewport.set_white(white(&capture));
+        Self {
+            job,
+            capture,
+            state: State::Running,
+            progress: None,
+            solution: None,
+            viewport,
+            look: Look::Newest,
+            other: None,
+            main: StepPicture::default(),
+            beside: StepPicture::default(),
+            partials: Vec::new(),
+            initial: DiscTexture::default(),
+        }
+    }
+
+    /// Takes news of a command.
+    pub fn update(&mut self, progress: Arc<Progress>) {
+        if progress.job == self.job {
+            self.progress = Some(progress);
+        }
+    }
+
+    /// It was asked to stop.
+    pub fn stopping(&mut self) {
+        if self.state == State::Running {
+            self.state = State::Stopping;
+        }
+    }
+
+    /// It was stopped, or failed.
+    pub fn stopped(&mut self) {
+        self.state = State::Stopped;
+    }
+
+    /// It ended.
+    pub fn finish(&mut self, solution: Arc<Solution>) {
+        self.state = State::Done;
+        self.solution = Some(solution);
+    }
+
+    /// The view of the object.
+    pub fn viewport(&self) -> &Viewport {
+        &self.viewport
+    }
+
+    /// The view of the object.
+    pub fn viewport_mut(&mut self) -> &mut Viewport {
+        &mut self.viewport
+    }
+
+    /// Takes a picture of the reference renderer.
+    pub fn rendered(&mut self, ctx: &egui::Context, rendered: Rendered) {
+        self.viewport.rendered(ctx, rendered);
+    }
+
+    fn steps(&self) -> &[Arc<Step>] {
+        self.progress.as_ref().map_or(&[], |p| &p.steps)
+    }
+
+    /// The iteration that is looked at, by index.
+    fn shown(&self) -> Option<usize> {
+        let last = self.steps().len().checked_sub(1)?;
+        match self.look {
+            Look::Newest => Some(last),
+            Look::Step(k) => Some(k.min(last)),
+            Look::Partial(_) | Look::Initial => None,
+        }
+    }
+
+    /// Shows the page.
+    pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        if self.state == State::Running && !shared.worker.is_paused() {
+            // The clock goes on between the news.
+            ui.ctx().request_repaint_after(Duration::from_millis(500));
+        }
+        egui::Panel::top("estimation progress")
+            .frame(theme::side(ui))
+            .show(ui, |ui| self.progress_ui(ui, shared));
+        let tall = (ui.available_height() * 0.3).clamp(130.0, 240.0);
+        egui::Panel::bottom("estimation plots")
+            .frame(theme::side(ui))
+            .resizable(true)
+            .default_size(tall)
+            .size_range(110.0..=420.0)
+            .show(ui, |ui| self.plots_ui(ui));
+        let wide = (ui.available_width() * 0.5).max(380.0);
+        egui::Panel::left("estimation hemispheres")
+            .frame(theme::side(ui))
+            .resizable(true)
+            .default_size(wide)
+            .size_range(320.0..=1200.0)
+            .show(ui, |ui| self.hemispheres_ui(ui, shared));
+        egui::CentralPanel::default()
+            .frame(theme::stage())
+            .show(ui, |ui| self.object_ui(ui, shared));
+    }
+
+    fn progress_ui(&self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        let palette = theme::palette(ui);
+        ui.horizontal(|ui| {
+            let (stage, fraction) = self
+                .progress
+                .as_ref()
+                .map_or(("starting", 0.0), |p| (p.stage.as_str(), p.fraction));
+            let paused = shared.worker.is_paused();
+            let (text, fraction) = match self.state {
+                State::Running if paused => (format!("Paused while {stage}"), fraction),
+                State::Running => (sentence(stage), fraction),
+                State::Stopping => ("Stopping".to_owned(), fraction),
+                State::Stopped => ("Stopped".to_owned(), fraction),
+                State::Done => ("Done".to_owned(), 1.0),
+            };
+            let buttons = match self.state {
+                State::Running => 330.0,
+                _ => 260.0,
+            };
+            ui.vertical(|ui| {
+                ui.set_width((ui.available_width() - buttons).max(160.0));
+                ui.horizontal(|ui| {
+                    ui.label(RichText::new(text).strong());
+                    ui.weak(self.time(fraction));
+                });
+                let fill = if self.state == State::Stopped {
+                    palette.weak
+                } else {
+                    palette.accent
+                };
+                let bar = ProgressBar::new(fraction)
+                    .desired_height(6.0)
+                    .fill(fill)
+                    .desired_width(ui.available_width());
+                ui.add(bar).accessible_name("Progress");
+            });
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                self.buttons_ui(ui, shared, paused);
+            });
+        });
+    }
+
+    fn buttons_ui(&self, ui: &mut egui::Ui, shared: &mut Shared<'_>, paused: bool) {
+        let mut give = |action| shared.actions.push(Request::Action(action));
+        if matches!(self.state, State::Running | State::Stopping) {
+            ui.add_enabled_ui(self.state == State::Running, |ui| {
+                let stop = ui.button("Stop");
+                if stop.on_hover_text("Stop and keep nothing (Esc)").clicked() {
+                    give(Action::Stop);
+                }
+                let keep = ui.button("Stop and keep best");
+                let tip =
+                    "End the estimation with what it has reached and relight with that (Ctrl+.)";
+                if keep.on_hover_text(tip).clicked() {
+                    give(Action::KeepBest);
+                }
+                let pause = ui.button(if paused { "Resume" } else { "Pause" });
+                if pause.on_hover_text("Pause, or go on (Space)").clicked() {
+                    give(Action::Pause);
+                }
+            });
+            return;
+        }
+        if self.state == State::Done {
+            let relight = ui.add(theme::main_button(ui, "Relight"));
+            if relight
+                .on_hover_text("To the object and its lamps (F3)")
+                .clicked()
+            {
+                give(Action::ShowRelighting);
+            }
+        }
+        let again = ui.add_enabled(!shared.busy, Button::new("Estimate again"));
+        let tip = "Estimate again with these settings; photographs and mesh are not read again (Ctrl+Enter)";
+        if again.on_hover_text(tip).clicked() {
+            give(Action::Solve);
+        }
+        ui.menu_button("Settings", |ui| {
+            estimation_ui(ui, &mut shared.settings.estimation);
+        })
+        .response
+        .on_hover_text("How to estimate the next time");
+    }
+
+    /// Elapsed time, and what is left if it can be told.
+    fn time(&self, fraction: f32) -> String {
+        let Some(progress) = &self.progress else {
+            return String::new();
+        };
+        if self.state == State::Done {
+            let seconds: f64 = self
+                .solution
+                .iter()
+                .flat_map(|s| s.timings.iter().filter(|(stage, _)| stage != "load"))
+                .map(|(_, s)| s)
+                .sum();
+            return format!("{seconds:.1} s, {} iterations", progress.steps.len());
+        }
+        if self.state == State::Stopped {
+            return format!("after {} iterations", progress.steps.len());
+        }
+        let elapsed = progress
+            .started
+            .elapsed()
+            .saturating_sub(progress.paused)
+            .as_secs_f32();
+        if fraction < TELLING {
+            return format!("{elapsed:.0} s");
+        }
+        let left = elapsed * (1.0 - fraction) / fraction;
+        format!("{elapsed:.0} s, about {:.0} s left", left.ceil())
+    }
+
+    fn plots_ui(&self, ui: &mut egui::Ui) {
+        let iterations: Vec<Iteration> = self.steps().iter().map(|s| s.iteration).collect();
+        let tried = self.progress.as_ref().map_or(&[][..], |p| &p.tried);
+        let marks = Marks {
+            shown: self.shown().map(|k| iterations[k]),
+            other: self.other.and_then(|k| iterations.get(k).copied()),
+            interval: self.solution.as_ref().and_then(|s| s.sigma_interval95),
+        };
+        plots::show(ui, &iterations, tried, marks);
+    }
+
+    fn hemispheres_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        let exposure = &mut shared.settings.hemisphere;
+        ui.horizontal(|ui| {
+            theme::group(ui, "Hemisphere, seen from above");
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                disc::exposure_ui(ui, exposure);
+            });
+        });
+        let exposure = *exposure;
+        let strip = 92.0;
+        let controls = 84.0;
+        let room = ui.available_size();
+        let discs = if self.other.is_some() { 2.0 } else { 1.0 };
+        let side = ((room.x - 8.0 * (discs - 1.0)) / discs)
+            .min(room.y - strip - controls)
+            .max(80.0);
+        ui.horizontal(|ui| {
+            ui.add_space((0.5 * (room.x - discs * side - 8.0 * (discs - 1.0))).max(0.0));
+            ui.vertical(|ui| {
+                let name = self.main_name();
+                let texture = self.main_texture(ui.ctx(), exposure);
+                disc::show(ui, texture, self.up(), side, Sense::hover(), &name);
+                ui.label(RichText::new(name).small());
+            });
+            if let Some(k) = self.other {
+                ui.vertical(|ui| {
+                    let name = self.step_name(k);
+                    let texture = step_texture(
+                        &mut self.beside,
+                        self.progress.as_deref(),
+                        k,
+                        ui.ctx(),
+                        exposure,
+                    );
+                    disc::show(
+                        ui,
+                        texture,
+                        self.up(),
+                        side,
+                        Sense::hover(),
+                        &format!("Compared {name}"),
+                    );
+                    ui.label(RichText::new(name).small());
+                });
+            }
+        });
+        self.scrub_ui(ui);
+        self.strip_ui(ui, exposure, strip);
+    }
+
+    fn up(&self) -> Vec3 {
+        self.capture.light_hemisphere.up.as_vec3()
+    }
+
+    fn step_name(&self, k: usize) -> String {
+        self.steps().get(k).map_or_else(String::new, |step| {
+            format!(
+                "Iteration {}, σ {:.4}, {} lit nodes",
+                step.iteration.iteration,
+                step.iteration.sigma,
+                step.lit.len()
+            )
+        })
+    }
+
+    fn main_name(&self) -> String {
+        let progress = self.progress.as_deref();
+        match self.look {
+            Look::Partial(i) => format!("Partial hemisphere of view {}", i + 1),
+            Look::Initial => "Initial hemisphere".to_owned(),
+            Look::Newest | Look::Step(_) => match (self.shown(), progress) {
+                (Some(k), _) => self.step_name(k),
+                (None, Some(p)) if p.initial.is_some() => "Initial hemisphere".to_owned(),
+                (None, Some(p)) if !p.partials.is_empty() => {
+                    format!("Partial hemisphere of view {}", p.partials.len())
+                }
+                _ => "No highlights yet".to_owned(),
+            },
+        }
+    }
+
+    fn main_texture(
+        &mut self,
+        ctx: &egui::Context,
+        exposure: super::settings::HemisphereExposure,
+    ) -> Option<egui::TextureId> {
+        let progress = self.progress.clone()?;
+        let partial = |this: &mut Self, i: usize| {
+            let picture = progress.partials.get(i)?;
+            if this.partials.len() <= i {
+                this.partials.resize_with(i + 1, DiscTexture::default);
+            }
+            Some(this.partials[i].of(ctx, picture, exposure))
+        };
+        match (self.look, self.shown()) {
+            (Look::Partial(i), _) => partial(self, i),
+            (Look::Initial, _) => {
+                let picture = progress.initial.as_ref()?;
+                Some(self.initial.of(ctx, picture, exposure))
+            }
+            (_, Some(k)) => step_texture(&mut self.main, Some(&progress), k, ctx, exposure),
+            (_, None) => match &progress.initial {
+                Some(picture) => Some(self.initial.of(ctx, picture, exposure)),
+                None => partial(self, progress.partials.len().checked_sub(1)?),
+            },
+        }
+    }
+
+    /// Chooses the iteration to look at and the one to compare it with.
+    fn scrub_ui(&mut self, ui: &mut egui::Ui) {
+        let last = self.steps().len().saturating_sub(1);
+        ui.add_enabled_ui(last > 0, |ui| {
+            ui.spacing_mut().slider_width = (ui.available_width() - 240.0).max(80.0);
+            ui.horizontal(|ui| {
+                let label = ui.label("Iteration");
+                let mut k = self.shown().unwrap_or(last) + 1;
+                let slider = ui
+                    .add(Slider::new(&mut k, 1..=last + 1))
+                    .labelled_by(label.id)
+                    .on_hover_text("Look at any iteration");
+                if slider.changed() {
+                    self.look = Look::Step(k - 1);
+                }
+                let newest = ui.selectable_label(self.look == Look::Newest, "Newest");
+                if newest.on_hover_text("Follow the estimation").clicked() {
+                    self.look = Look::Newest;
+                }
+            });
+            ui.horizontal(|ui| {
+                let mut compare = self.other.is_some();
+                ui.checkbox(&mut compare, "Compare with")
+                    .on_hover_text("Show another iteration beside it");
+                if compare != self.other.is_some() {
+                    self.other = compare.then_some(0);
+                }
+                if let Some(other) = &mut self.other {
+                    let mut k = (*other).min(last) + 1;
+                    ui.add(Slider::new(&mut k, 1..=last + 1))
+                        .on_hover_text("The iteration to compare with")
+                        .accessible_name("Compared iteration");
+                    *other = k - 1;
+                }
+            });
+        });
+    }
+
+    /// Partial hemispheres and the initial one, small.
+    fn strip_ui(
+        &mut self,
+        ui: &mut egui::Ui,
+        exposure: super::settings::HemisphereExposure,
+        height: f32,
+    ) {
+        let Some(progress) = self.progress.clone() else {
+            return;
+        };
+        let side = height - 26.0;
+        egui::ScrollArea::horizontal().show(ui, |ui| {
+            ui.horizontal(|ui| {
+                for (i, picture) in progress.partials.iter().enumerate() {
+                    if self.partials.len() <= i {
+                        self.partials.push(DiscTexture::default());
+                    }
+                    let texture = self.partials[i].of(ui.ctx(), picture, exposure);
+                    let look = Look::Partial(i);
+                    self.small_ui(ui, texture, side, look, &format!("View {}", i + 1));
+                }
+                if let Some(picture) = &progress.initial {
+                    let texture = self.initial.of(ui.ctx(), picture, exposure);
+                    self.small_ui(ui, texture, side, Look::Initial, "Initial");
+                }
+            });
+        });
+    }
+
+    fn small_ui(
+        &mut self,
+        ui: &mut egui::Ui,
+        texture: egui::TextureId,
+        side: f32,
+        look: Look,
+        name: &str,
+    ) {
+        ui.vertical(|ui| {
+            ui.spacing_mut().item_spacing.y = 2.0;
+            let label = format!("{name} hemisphere");
+            let (response, disc) = disc::show(ui, Some(texture), self.up(), side, Sense::click(), &label);
+            let chosen = self.look == look;
+            if chosen || response.hovered() {
+                let accent = theme::palette(ui).accent;
+                let stroke = egui::Stroke::new(if chosen { 2.0 } else { 1.0 }, accent);
+                ui.painter()
+                    .circle_stroke(disc.rect.center(), 0.5 * disc.rect.width(), stroke);
+            }
+            let tip = "What this view says of the lighting: where its mirror rays meet the hemisphere. Click to see it large";
+            if response.on_hover_text(tip).clicked() {
+                self.look = if chosen { Look::Newest } else { look };
+            }
+            ui.label(RichText::new(name).small());
+        });
+    }
+
+    /// The object under the lighting that is looked at.
+    fn object_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        let progress = self.progress.clone();
+        let shown = self.shown();
+        let version = shown.map_or(0, |k| k as u64 + 1);
+        let capture = &self.capture;
+        let subject = || {
+            let progress = progress?;
+            let texture = Arc::clone(progress.texture.as_ref()?);
+            let step = progress.steps.get(shown?)?;
+            let lighting = quick_lighting(progress.grid.as_ref()?, step);
+            let subject = Subject::Running {
+                capture: Arc::clone(capture),
+                texture,
+                brdf: Brdf {
+                    model: step.model,
+                    sigma: step.iteration.sigma,
+                },
+            };
+            Some((subject, lighting))
+        };
+        self.viewport
+            .show(ui, shared.worker, shared.settings.habit, version, subject);
+    }
+}
+
+/// The texture of an iteration's lighting.
+fn step_texture(
+    kept: &mut StepPicture,
+    progress: Option<&Progress>,
+    k: usize,
+    ctx: &egui::Context,
+    exposure: super::settings::HemisphereExposure,
+) -> Option<egui::TextureId> {
+    let progress = progress?;
+    let step = progress.steps.get(k)?;
+    let (grid, from_above) = (progress.grid.as_ref()?, progress.from_above.as_ref()?);
+    let picture = match &kept.of {
+        Some((shown, picture)) if *shown == k => Arc::clone(picture),
+        _ => {
+            let radiance = step.nodes(grid.directions.len());
+            let picture = Arc::new(from_above.picture(&radiance));
+            kept.of = Some((k, Arc::clone(&picture)));
+            picture
+        }
+    };
+    Some(kept.texture.of(ctx, &picture, exposure))
+}
+
+/// An iteration's lighting for a quick picture: neighbours joined where there are many, in patches that cast one shadow.
+fn quick_lighting(grid: &HemisphereGrid, step: &Step) -> Lighting {
+    let mut nodes: Vec<LightNode> = step
+        .lit
+        .iter()
+        .map(|&(node, radiance)| LightNode {
+            direction: grid.directions[node as usize],
+            radiance: radiance.into(),
+            solid_angle: grid.solid_angle,
+        })
+        .collect();
+    if nodes.len() > MANY {
+        let coarse = HemisphereGrid::new(JOINED, grid.up, grid.radius, grid.centre);
+        let mut flux = vec![Vec3::ZERO; coarse.directions.len()];
+        for node in &nodes {
+            if let Some(k) = coarse.nearest(node.direction) {
+                flux[k] += node.flux();
+            }
+        }
+        nodes = flux
+            .into_iter()
+            .zip(&coarse.directions)
+            .filter(|(flux, _)| *flux != Vec3::ZERO)
+            .map(|(flux, &direction)| LightNode {
+                direction,
+                radiance: flux / coarse.solid_angle,
+                solid_angle: coarse.solid_angle,
+            })
+            .collect();
+    }
+    let patches = HemisphereGrid::new(PATCHES, grid.up, grid.radius, grid.centre);
+    let mut members: Vec<Vec<LightNode>> = vec![Vec::new(); patches.directions.len()];
+    for node in nodes {
+        if let Some(k) = patches.nearest(node.direction) {
+            members[k].push(node);
+        }
+    }
+    Lighting {
+        lamps: members
+            .into_iter()
+            .filter_map(|nodes| LampNodes::new(nodes, grid.radius))
+            .collect(),
+        remainder: Vec::new(),
+        environment: Vec::new(),
+        ambient: Vec3::ZERO,
+        centre: grid.centre,
+        radius: grid.radius,
+        up: grid.up,
+    }
+}
+
+/// Radiance shown as white before there is a texture: what few of the photographs' pixels exceed.
+fn white(capture: &Capture) -> f32 {
+    let mut levels: Vec<f32> = capture
+        .views
+        .iter()
+        .flat_map(|v| &v.photograph.radiance)
+        .map(|p| p.iter().sum::<f32>() / 3.0)
+        .filter(|&v| v > 0.0)
+        .collect();
+    if levels.is_empty() {
+        return 1.0;
+    }
+    let at = (levels.len() - 1) * 97 / 100;
+    let bright = *levels.select_nth_unstable_by(at, f32::total_cmp).1;
+    (1.3 * bright).max(f32::MIN_POSITIVE)
+}
+
+/// A stage's name as a sentence begins.
+fn sentence(stage: &str) -> String {
+    let mut letters = stage.chars();
+    letters.next().map_or_else(String::new, |first| {
+        first.to_uppercase().chain(letters).collect()
+    })
+}

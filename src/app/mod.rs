@@ -1,0 +1,539 @@
+//! The window. It draws state and sends commands; all work is done by the [`Worker`]'s threads.
+//!
+//! The rooms of the window are its pages: [`welcome`], [`capture_page`], [`estimation`] and [`relight`]. What they share:
+//! [`theme`] has the look, [`commands`] every command with its keys, [`viewport`] the picture of the object, [`disc`] the
+//! hemisphere seen from above, [`notices`] the messages.
+
+mod capture_page;
+mod commands;
+mod disc;
+mod estimation;
+mod menus;
+mod navigation;
+mod notices;
+mod open_path;
+mod palette;
+mod plots;
+mod relight;
+mod settings;
+mod theme;
+mod viewport;
+mod welcome;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use eframe::egui;
+
+use crate::solution::Solution;
+use crate::worker::{Command, Event, OpenedCapture, Purpose, Source, Worker};
+use capture_page::CapturePage;
+use commands::{Action, ENTRIES};
+use estimation::Estimation;
+use notices::{Notices, Weight};
+use open_path::OpenPath;
+use palette::{Chosen, CommandPalette};
+use relight::Relighting;
+use settings::Settings;
+
+pub use theme::install as install_theme;
+
+/// Where the settings are stored.
+const SETTINGS: &str = "settings";
+
+/// What fills the window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Page {
+    Welcome,
+    Capture,
+    Estimation,
+    Relighting,
+}
+
+/// What the worker is doing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Doing {
+    Opening(Source),
+    Solving,
+    Task,
+}
+
+/// A command under way.
+#[derive(Clone, Debug)]
+struct Job {
+    number: u64,
+    doing: Doing,
+}
+
+/// What pages may use besides their own state.
+struct Shared<'a> {
+    worker: &'a mut Worker,
+    settings: &'a mut Settings,
+    notices: &'a mut Notices,
+    /// Commands given on this page, to be carried out after it is drawn.
+    actions: &'a mut Vec<Request>,
+    /// Whether the worker has something to do.
+    busy: bool,
+}
+
+/// What a page asks for.
+#[derive(Clone, Debug, PartialEq)]
+enum Request {
+    Action(Action),
+    Open(Source),
+}
+
+/// The window's state.
+pub struct App {
+    worker: Worker,
+    settings: Settings,
+    notices: Notices,
+    page: Page,
+    welcome: Option<egui::TextureHandle>,
+    job: Option<Job>,
+    capture: Option<CapturePage>,
+    estimation: Option<Estimation>,
+    relighting: Option<Relighting>,
+    palette: Option<CommandPalette>,
+    keys: bool,
+    open_path: Option<OpenPath>,
+}
+
+impl App {
+    /// A window on its welcome page, or opening `path`.
+    pub fn new(cc: &eframe::CreationContext<'_>, open: Option<Source>) -> std::io::Result<Self> {
+        let settings: Settings = cc
+            .storage
+            .and_then(|storage| eframe::get_value(storage, SETTINGS))
+            .unwrap_or_default();
+        let ctx = cc.egui_ctx.clone();
+        theme::install(&ctx);
+        ctx.set_theme(settings.theme);
+        // The command table has these keys.
+        ctx.options_mut(|options| options.zoom_with_keyboard = false);
+        let worker = Worker::new(Arc::new(move || ctx.request_repaint()))?;
+        let mut app = Self {
+            worker,
+            settings,
+            notices: Notices::default(),
+            page: Page::Welcome,
+            welcome: welcome::picture(&cc.egui_ctx),
+            job: None,
+            capture: None,
+            estimation: None,
+            relighting: None,
+            palette: None,
+            keys: false,
+            open_path: None,
+        };
+        if let Some(source) = open {
+            app.open(source);
+        }
+        Ok(app)
+    }
+
+    fn open(&mut self, source: Source) {
+        if let Some(job) = &self.job {
+            let text = match job.doing {
+                Doing::Solving => "Stop the estimation first, or wait for its end.",
+                _ => "Something else is being opened or written; wait for its end.",
+            };
+            self.notices.add(Weight::Note, "One thing at a time", text);
+            return;
+        }
+        let doing = Doing::Opening(source.clone());
+        self.start(Command::Open(source), doing);
+    }
+
+    fn start(&mut self, command: Command, doing: Doing) -> bool {
+        let number = self.worker.send(command);
+        self.job = number.map(|number| Job { number, doing });
+        number.is_some()
+    }
+
+    fn solve(&mut self) {
+        let Some(page) = self.capture.as_ref().filter(|_| self.job.is_none()) else {
+            return;
+        };
+        let (capture, load_s) = (Arc::clone(page.capture()), page.load_s());
+        let command = Command::Solve {
+            capture: Arc::clone(&capture),
+            options: self.settings.estimation.options(),
+            load_s,
+        };
+        if self.start(command, Doing::Solving) {
+            let number = self.job.as_ref().map_or(0, |job| job.number);
+            self.estimation = Some(Estimation::new(capture, number));
+            self.page = Page::Estimation;
+        }
+    }
+
+    /// Takes in what the worker has to say.
+    fn listen(&mut self, ctx: &egui::Context) {
+        if let Some(progress) = self.worker.progress()
+            && let Some(estimation) = &mut self.estimation
+        {
+            estimation.update(progress);
+        }
+        while let Some((number, event)) = self.worker.event() {
+            let ours = self.job.as_ref().is_some_and(|job| job.number == number);
+            let doing = if ours {
+                self.job.take().map(|job| job.doing)
+            } else {
+                None
+            };
+            self.hear(ctx, event, doing);
+        }
+        let rendered = self.worker.rendered();
+        if let Some(rendered) = rendered {
+            match self.page {
+                Page::Estimation => {
+                    if let Some(estimation) = &mut self.estimation {
+                        estimation.rendered(ctx, rendered);
+                    }
+                }
+                _ => {
+                    if let Some(relighting) = &mut self.relighting {
+                        relighting.rendered(ctx, rendered);
+                    }
+                }
+            }
+        }
+    }
+
+    fn hear(&mut self, ctx: &egui::Context, event: Event, doing: Option<Doing>) {
+        match event {
+            Event::Capture(opened) => self.show_capture(ctx, *opened),
+            Event::Solution { folder, solution } => {
+                self.settings.remember(&folder);
+                self.capture = None;
+                self.estimation = None;
+                self.show_solution(solution, Some(&folder));
+            }
+            Event::Solved(solution) => {
+                self.notices.clear_errors();
+                if let Some(estimation) = &mut self.estimation {
+                    estimation.finish(Arc::clone(&solution));
+                }
+                let text = match solution.lamps.len() {
+                    0 => "No lamps were found.".to_owned(),
+                    1 => "One lamp was found.".to_owned(),
+                    n => format!("{n} lamps were found."),
+                };
+                self.notices.add(Weight::Done, "Estimated", text);
+                self.show_solution(solution, None);
+            }
+            Event::Done { what } => self.notices.add(Weight::Done, what, ""),
+            Event::Stopped => {
+                if let Some(estimation) = &mut self.estimation
+                    && doing == Some(Doing::Solving)
+                {
+                    estimation.stopped();
+                    self.notices.add(
+                        Weight::Note,
+                        "Stopped",
+                        "Start again at any time; the capture is still open.",
+                    );
+                }
+            }
+            Event::Failed { what, message } => {
+                if let Some(estimation) = &mut self.estimation
+                    && doing == Some(Doing::Solving)
+                {
+                    estimation.stopped();
+                }
+                let title = format!("{what} failed");
+                self.notices.add(Weight::Error, title, message);
+            }
+            Event::Picked { purpose, path } => {
+                if let Some(path) = path {
+                    self.picked(purpose, path);
+                }
+            }
+            Event::NoDialog(purpose) => self.open_path = Some(OpenPath::new(purpose)),
+        }
+    }
+
+    /// A path was chosen in a file dialog, or typed where there is none.
+    fn picked(&mut self, purpose: Purpose, path: PathBuf) {
+        match purpose {
+            Purpose::OpenFolder | Purpose::OpenFile => self.open(Source::Path(path)),
+            Purpose::SaveProject | Purpose::ExportFolder | Purpose::LightProbe => {
+                if let Some(relighting) = &mut self.relighting {
+                    relighting.picked(purpose, path);
+                }
+            }
+        }
+    }
+
+    fn show_capture(&mut self, ctx: &egui::Context, opened: OpenedCapture) {
+        self.notices.clear_errors();
+        if let Source::Path(path) = &opened.source {
+            self.settings.remember(path);
+        }
+        self.capture = Some(CapturePage::new(ctx, opened));
+        self.estimation = None;
+        self.relighting = None;
+        self.page = Page::Capture;
+    }
+
+    fn show_solution(&mut self, solution: Arc<Solution>, folder: Option<&Path>) {
+        let capture = self.capture.as_ref().map(|page| Arc::clone(page.capture()));
+        self.relighting = Some(Relighting::new(solution, capture, folder));
+        self.page = Page::Relighting;
+    }
+
+    /// Whether a command can be given now.
+    fn enabled(&self, action: Action) -> bool {
+        let solving = self
+            .job
+            .as_ref()
+            .is_some_and(|job| job.doing == Doing::Solving);
+        match action {
+            Action::OpenFolder | Action::OpenFile | Action::Demo => self.job.is_none(),
+            Action::Solve => self.capture.is_some() && self.job.is_none(),
+            Action::Pause | Action::KeepBest => solving,
+            Action::Stop => self.job.is_some(),
+            Action::ShowCapture => self.capture.is_some(),
+            Action::ShowEstimation => self.estimation.is_some(),
+            Action::ShowRelighting => self.relighting.is_some(),
+            Action::Frame | Action::ResetView => self.viewport().is_some(),
+            Action::Camera(n) => self
+                .viewport()
+                .is_some_and(|viewport| usize::from(n) < viewport.cameras()),
+            Action::Brighter | Action::Darker | Action::ResetExposure => self.viewport().is_some(),
+            _ => true,
+        }
+    }
+
+    fn viewport(&self) -> Option<&viewport::Viewport> {
+        match self.page {
+            Page::Estimation => self.estimation.as_ref().map(Estimation::viewport),
+            Page::Relighting => self.relighting.as_ref().map(Relighting::viewport),
+            _ => None,
+        }
+    }
+
+    fn viewport_mut(&mut self) -> Option<&mut viewport::Viewport> {
+        match self.page {
+            Page::Estimation => self.estimation.as_mut().map(Estimation::viewport_mut),
+            Page::Relighting => self.relighting.as_mut().map(Relighting::viewport_mut),
+            _ => None,
+        }
+    }
+
+    fn act(&mut self, ctx: &egui::Context, action: Action) {
+        if !self.enabled(action) {
+            return;
+        }
+        match action {
+            Action::OpenFolder => self.pick(Purpose::OpenFolder),
+            Action::OpenFile => self.pick(Purpose::OpenFile),
+            Action::Demo => self.open(Source::Demo),
+            Action::Welcome => self.page = Page::Welcome,
+            Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
+            Action::Solve => self.solve(),
+            Action::Pause => self.worker.pause(!self.worker.is_paused()),
+            Action::Stop => {
+                self.worker.stop();
+                if let Some(estimation) = &mut self.estimation {
+                    estimation.stopping();
+                }
+            }
+            Action::KeepBest => self.worker.finish(),
+            Action::ShowCapture => self.page = Page::Capture,
+            Action::ShowEstimation => self.page = Page::Estimation,
+            Action::ShowRelighting => self.page = Page::Relighting,
+            Action::ToggleTheme => {
+                self.settings.theme = if ctx.theme() == egui::Theme::Dark {
+                    egui::ThemePreference::Light
+                } else {
+                    egui::ThemePreference::Dark
+                };
+                ctx.set_theme(self.settings.theme);
+            }
+            Action::ZoomIn => ctx.set_zoom_factor((ctx.zoom_factor() + 0.1).min(3.0)),
+            Action::ZoomOut => ctx.set_zoom_factor((ctx.zoom_factor() - 0.1).max(0.5)),
+            Action::ZoomReset => ctx.set_zoom_factor(1.0),
+            Action::FullScreen => {
+                let full = ctx.input(|i| i.viewport().fullscreen.unwrap_or(false));
+                ctx.send_viewport_cmd(egui::ViewportCommand::Fullscreen(!full));
+            }
+            Action::Palette => self.palette = Some(CommandPalette::new()),
+            Action::Keys => self.keys = !self.keys,
+            Action::Frame
+            | Action::ResetView
+            | Action::Camera(_)
+            | Action::Brighter
+            | Action::Darker
+            | Action::ResetExposure => {
+                if let Some(viewport) = self.viewport_mut() {
+                    viewport.act(action);
+                }
+            }
+        }
+        ctx.request_repaint();
+    }
+
+    fn pick(&mut self, purpose: Purpose) {
+        let start = self.settings.recent.first().and_then(|path| path.parent());
+        self.worker.pick(purpose, start);
+    }
+
+    /// Commands given by keys.
+    fn read_keys(&mut self, ctx: &egui::Context) {
+        if self.palette.is_some() || self.open_path.is_some() {
+            return;
+        }
+        let typing = ctx.text_edit_focused();
+        let any_popup = egui::Popup::is_any_open(ctx);
+        let again = egui::KeyboardShortcut::new(egui::Modifiers::COMMAND, egui::Key::K);
+        let mut actions = Vec::new();
+        ctx.input_mut(|input| {
+            if input.consume_shortcut(&again) {
+                actions.push(Action::Palette);
+            }
+            for entry in ENTRIES {
+                let Some(keys) = entry.keys else { continue };
+                let plain = !keys.modifiers.command && !is_function_key(keys.logical_key);
+                // Without a modifier a key may be meant for a text field, or close a menu.
+                if plain && (typing || any_popup || self.keys) && entry.action != Action::Keys {
+                    continue;
+                }
+                if plain && typing {
+                    continue;
+                }
+                if self.enabled(entry.action) && input.consume_shortcut(&keys) {
+                    actions.push(entry.action);
+                }
+            }
+        });
+        for action in actions {
+            self.act(ctx, action);
+        }
+    }
+
+    /// Folders and files dropped on the window.
+    fn read_drops(&mut self, ctx: &egui::Context) {
+        let dropped = ctx.input(|i| {
+            let file = i.raw.dropped_files.first();
+            file.map(|file| file.path().to_owned())
+        });
+        if let Some(path) = dropped {
+            self.open(Source::Path(path));
+        }
+    }
+
+    fn show_page(&mut self, ui: &mut egui::Ui) -> Vec<Request> {
+        let mut actions = Vec::new();
+        let mut shared = Shared {
+            worker: &mut self.worker,
+            settings: &mut self.settings,
+            notices: &mut self.notices,
+            actions: &mut actions,
+            busy: self.job.is_some(),
+        };
+        match self.page {
+            Page::Capture => {
+                if let Some(page) = &mut self.capture {
+                    page.show(ui, &mut shared);
+                }
+            }
+            Page::Estimation => {
+                if let Some(estimation) = &mut self.estimation {
+                    estimation.show(ui, &mut shared);
+                }
+            }
+            Page::Relighting => {
+                if let Some(relighting) = &mut self.relighting {
+                    relighting.show(ui, &mut shared);
+                }
+            }
+            Page::Welcome => {
+                let opening = self.job.as_ref().and_then(|job| match &job.doing {
+                    Doing::Opening(source) => Some(source),
+                    _ => None,
+                });
+                welcome::show(ui, &mut shared, self.welcome.as_ref(), opening);
+            }
+        }
+        actions
+    }
+
+    fn show_dialogs(&mut self, ctx: &egui::Context) {
+        if let Some(mut palette) = self.palette.take() {
+            match palette.show(ctx, |action| self.enabled(action)) {
+                Chosen::Nothing => self.palette = Some(palette),
+                Chosen::Closed => {}
+                Chosen::Action(action) => self.act(ctx, action),
+            }
+        }
+        if self.keys && palette::key_sheet(ctx, self.settings.habit.gestures()) {
+            self.keys = false;
+        }
+        if let Some(mut open_path) = self.open_path.take() {
+            match open_path.show(ctx) {
+                open_path::Answer::Nothing => self.open_path = Some(open_path),
+                open_path::Answer::Closed => {}
+                open_path::Answer::Path(path) => self.picked(open_path.purpose(), path),
+            }
+        }
+        self.notices.show(ctx);
+    }
+}
+
+fn is_function_key(key: egui::Key) -> bool {
+    use egui::Key;
+    matches!(
+        key,
+        Key::F1 | Key::F2 | Key::F3 | Key::F4 | Key::F5 | Key::F11 | Key::F12
+    )
+}
+
+impl eframe::App for App {
+    fn logic(&mut self, ctx: &egui::Context, _: &mut eframe::Frame) {
+        self.listen(ctx);
+    }
+
+    fn ui(&mut self, ui: &mut egui::Ui, _: &mut eframe::Frame) {
+        let ctx = ui.ctx().clone();
+        self.read_keys(&ctx);
+        self.read_drops(&ctx);
+        let mut given = menus::show(ui, self);
+        given.extend(self.show_page(ui));
+        for request in given {
+            match request {
+                Request::Action(action) => self.act(&ctx, action),
+                Request::Open(source) => self.open(source),
+            }
+        }
+        self.show_dialogs(&ctx);
+    }
+
+    fn save(&mut self, storage: &mut dyn eframe::Storage) {
+        eframe::set_value(storage, SETTINGS, &self.settings);
+    }
+
+    fn clear_color(&self, visuals: &egui::Visuals) -> [f32; 4] {
+        visuals.panel_fill.to_normalized_gamma_f32()
+    }
+}
+
+/// Opens the window and returns when it is closed.
+pub fn run(open: Option<Source>) -> eframe::Result {
+    let viewport = egui::ViewportBuilder::default()
+        .with_title("Rekindle")
+        .with_app_id("rekindle")
+        .with_inner_size([1280.0, 820.0])
+        .with_min_inner_size([960.0, 600.0])
+        .with_drag_and_drop(true);
+    let options = eframe::NativeOptions {
+        viewport,
+        ..eframe::NativeOptions::default()
+    };
+    eframe::run_native(
+        "rekindle",
+        options,
+        Box::new(|cc| Ok(Box::new(App::new(cc, open)?))),
+    )
+}

@@ -1,0 +1,117 @@
+//! What the window remembers from one run of the program to the next.
+
+use std::path::{Path, PathBuf};
+
+use eframe::egui;
+use serde::{Deserialize, Serialize};
+
+use super::navigation::Habit;
+use crate::estimate::{EstimateParams, Method, SpecularChoice, SpecularModel};
+use crate::solution::SolveOptions;
+
+/// Recent files at most.
+const RECENT: usize = 8;
+
+/// Everything remembered.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Settings {
+    /// Dark, light or the system's.
+    pub theme: egui::ThemePreference,
+    /// Which mouse buttons move the view.
+    pub habit: Habit,
+    /// What was opened last, the newest first.
+    pub recent: Vec<PathBuf>,
+    /// How to estimate.
+    pub estimation: Estimation,
+    /// How hemispheres are shown.
+    pub hemisphere: HemisphereExposure,
+    /// Whether the mesh's outline lies over the photographs.
+    pub outline: bool,
+}
+
+/// How to estimate.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Estimation {
+    /// The method.
+    pub method: Method,
+    /// The specular model, `None` for whichever leaves less unexplained.
+    pub specular: Option<SpecularModel>,
+    /// Frequency of the geodesic hemisphere.
+    pub frequency: u32,
+    /// Distance of the lights in place of the capture's.
+    pub radius: Option<f32>,
+}
+
+/// How hemispheres are shown.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct HemisphereExposure {
+    /// By the logarithm instead of in proportion.
+    pub logarithmic: bool,
+    /// Stops above the exposure at which the brightest node is white, if linear.
+    pub stops: f32,
+    /// Powers of ten from black to white, if logarithmic.
+    pub decades: f32,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            theme: egui::ThemePreference::Dark,
+            habit: Habit::default(),
+            recent: Vec::new(),
+            estimation: Estimation::default(),
+            hemisphere: HemisphereExposure::default(),
+            outline: true,
+        }
+    }
+}
+
+impl Default for Estimation {
+    fn default() -> Self {
+        Self {
+            method: Method::Fast,
+            specular: None,
+            frequency: 70,
+            radius: None,
+        }
+    }
+}
+
+impl Default for HemisphereExposure {
+    fn default() -> Self {
+        Self {
+            logarithmic: true,
+            stops: 0.0,
+            decades: 3.0,
+        }
+    }
+}
+
+impl Settings {
+    /// Moves a path to the front of the recent ones.
+    pub fn remember(&mut self, path: &Path) {
+        let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        self.recent.retain(|other| *other != path);
+        self.recent.insert(0, path);
+        self.recent.truncate(RECENT);
+    }
+}
+
+impl Estimation {
+    /// The same for `solve`.
+    pub fn options(&self) -> SolveOptions {
+        SolveOptions {
+            estimate: EstimateParams {
+                method: self.method,
+                specular: self
+                    .specular
+                    .map_or(SpecularChoice::Auto, SpecularChoice::Model),
+            },
+            frequency: self.frequency,
+            radius: self.radius,
+        }
+    }
+}
