@@ -19,6 +19,7 @@ use crate::hemisphere::{FromAbove, HemisphereGrid, Picture};
 use crate::preflight::{Report, Thumbnail};
 use crate::relight::{self, Diffuse, Interreflection, Lighting, Scene, Shader, Surroundings};
 use crate::solution::{Solution, SolveOptions, solution_folder, solve};
+use crate::studio::{Document, EXTENSION};
 use crate::surface::{Atlas, Occluder};
 
 /// Commands that may wait.
@@ -93,6 +94,15 @@ pub enum Event {
         folder: PathBuf,
         /// The solution.
         solution: Arc<Solution>,
+    },
+    /// A project was opened.
+    Project {
+        /// Its file.
+        path: PathBuf,
+        /// The document.
+        document: Box<Document>,
+        /// What a user should know.
+        warnings: Vec<String>,
     },
     /// A solve ended.
     Solved(Arc<Solution>),
@@ -489,11 +499,11 @@ fn ask(purpose: Purpose, start: Option<&Path>) -> Option<PathBuf> {
             .pick_folder(),
         Purpose::OpenFile => dialog
             .set_title("Open a project")
-            .add_filter("Projects and captures", &["rekindle", "json"])
+            .add_filter("Projects and captures", &[EXTENSION, "json"])
             .pick_file(),
         Purpose::SaveProject => dialog
             .set_title("Save the project")
-            .set_file_name("project.rekindle")
+            .set_file_name(format!("project.{EXTENSION}"))
             .save_file(),
         Purpose::ExportFolder => dialog.set_title("Export to").pick_folder(),
         Purpose::LightProbe => dialog
@@ -578,6 +588,14 @@ fn open(source: Source) -> anyhow::Result<Event> {
             (capture, pixels)
         }
         Source::Path(path) => {
+            if path.extension().is_some_and(|e| e == EXTENSION) {
+                let (document, warnings) = Document::open(path)?;
+                return Ok(Event::Project {
+                    path: path.clone(),
+                    document: Box::new(document),
+                    warnings,
+                });
+            }
             let folder = solution_folder(path);
             if folder.join("solution.json").is_file() {
                 return Ok(Event::Solution {

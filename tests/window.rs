@@ -12,7 +12,7 @@ use rekindle::app::App;
 use rekindle::worker::Source;
 
 /// Longer than anything here takes on a slow machine.
-const PATIENCE: Duration = Duration::from_secs(240);
+const PATIENCE: Duration = Duration::from_mins(4);
 
 type Window = Harness<'static, App>;
 

@@ -223,17 +223,21 @@ impl CapturePage {
         let view = &self.opened.report.views[i];
         let all = f64::from(view.width) * f64::from(view.height);
         let share = 100.0 * view.object_pixels as f64 / all;
-        let mut tip = format!(
-            "{}\n{}×{} pixels, {share:.1} % of them show the object",
-            view.name, view.width, view.height
-        );
+        let mut lines = vec![
+            view.name.clone(),
+            format!(
+                "{}×{} pixels, {share:.1} % of them show the object",
+                view.width, view.height
+            ),
+        ];
         if let Some(iou) = view.silhouette_iou {
-            tip += &format!("\nSilhouettes overlap by {:.2} %", 100.0 * iou);
+            lines.push(format!("Silhouettes overlap by {:.2} %", 100.0 * iou));
         }
         if let Some(exposure) = view.relative_exposure {
-            tip += &format!("\nExposure against the other views {exposure:.3}");
+            lines.push(format!("Exposure against the other views {exposure:.3}"));
         }
-        tip + "\nClick to see it large"
+        lines.push("Click to see it large".to_owned());
+        lines.join("\n")
     }
 
     fn worst(&self, name: &str) -> Option<Severity> {

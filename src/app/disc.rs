@@ -161,6 +161,21 @@ pub fn show(
     (response, Disc { rect: rim, up })
 }
 
+/// Says which direction the pointer is at.
+pub fn direction_tip(response: egui::Response, disc: &Disc) {
+    let Some(pointer) = response.hover_pos() else {
+        return;
+    };
+    let direction = disc.direction(pointer);
+    let [right, north] = from_above_axes(disc.up);
+    let height = direction.dot(disc.up).clamp(-1.0, 1.0).asin().to_degrees();
+    let east = direction.dot(right).atan2(direction.dot(north));
+    let azimuth = east.to_degrees().rem_euclid(360.0);
+    response.on_hover_text_at_pointer(format!(
+        "{height:.1}° above the horizon, {azimuth:.1}° clockwise from north"
+    ));
+}
+
 /// Controls of the exposure.
 pub fn exposure_ui(ui: &mut egui::Ui, exposure: &mut HemisphereExposure) {
     ui.horizontal(|ui| {

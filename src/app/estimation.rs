@@ -8,7 +8,7 @@ use glam::Vec3;
 
 use super::capture_page::estimation_ui;
 use super::commands::Action;
-use super::disc::{self, DiscTexture};
+use super::disc::{self, Disc, DiscTexture};
 use super::plots::{self, Marks};
 use super::viewport::Viewport;
 use super::{Request, Shared, theme};
@@ -323,7 +323,12 @@ impl Estimation {
             ui.vertical(|ui| {
                 let name = self.main_name();
                 let texture = self.main_texture(ui.ctx(), exposure);
-                disc::show(ui, texture, self.up(), side, Sense::hover(), &name);
+                let (response, disc) =
+                    disc::show(ui, texture, self.up(), side, Sense::hover(), &name);
+                if self.look == Look::Newest {
+                    self.lamps_ui(ui, &disc);
+                }
+                disc::direction_tip(response, &disc);
                 ui.label(RichText::new(name).small());
             });
             if let Some(k) = self.other {
@@ -350,6 +355,29 @@ impl Estimation {
         });
         self.scrub_ui(ui);
         self.strip_ui(ui, exposure, strip);
+    }
+
+    /// Rings around the lamps that were found.
+    fn lamps_ui(&self, ui: &egui::Ui, disc: &Disc) {
+        let palette = theme::palette(ui);
+        let Some(solution) = &self.solution else {
+            return;
+        };
+        for lamp in &solution.lamps {
+            let Some(at) = disc.at(lamp.direction) else {
+                continue;
+            };
+            let radius = 0.5 * disc.rect.width() * lamp.angular_radius.sin() + 7.0;
+            let stroke = egui::Stroke::new(1.5, palette.accent);
+            ui.painter().circle_stroke(at, radius, stroke);
+            ui.painter().text(
+                at + egui::vec2(radius + 4.0, 0.0),
+                egui::Align2::LEFT_CENTER,
+                &lamp.name,
+                egui::TextStyle::Small.resolve(ui.style()),
+                palette.accent,
+            );
+        }
     }
 
     fn up(&self) -> Vec3 {

@@ -3,6 +3,7 @@
 use eframe::egui::{self, Button, RichText};
 
 use super::commands::{Action, ENTRIES, Menu};
+use super::navigation::Habit;
 use super::{App, Doing, Page, Request, Source, theme};
 
 /// Shows the bar; returns what was asked for.
@@ -45,6 +46,9 @@ fn menu_ui(ui: &mut egui::Ui, app: &App, menu: Menu, requests: &mut Vec<Request>
                 recent_ui(ui, app, requests);
             }
         }
+        if menu == Menu::View {
+            habits_ui(ui, app, requests);
+        }
     });
 }
 
@@ -60,6 +64,26 @@ fn recent_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
                 }
             }
         });
+    });
+}
+
+/// Whose mouse habits the viewport has.
+fn habits_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
+    ui.menu_button("Mouse habits", |ui| {
+        for habit in Habit::ALL {
+            let gestures: Vec<String> = habit
+                .gestures()
+                .iter()
+                .map(|(gesture, meaning)| format!("{gesture}: {meaning}"))
+                .collect();
+            let response = ui
+                .radio(app.settings.habit == habit, habit.name())
+                .on_hover_text(gestures.join("\n"));
+            if response.clicked() {
+                requests.push(Request::Habit(habit));
+                ui.close();
+            }
+        }
     });
 }
 
@@ -108,7 +132,6 @@ fn running_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
         }
         Doing::Solving if app.worker.is_paused() => "Paused".to_owned(),
         Doing::Solving => "Estimating".to_owned(),
-        Doing::Task => "Working".to_owned(),
     };
     if app.page != Page::Estimation {
         let stop = ui.button("Stop").on_hover_text("Stop what is running");

@@ -20,16 +20,17 @@ mod theme;
 mod viewport;
 mod welcome;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use eframe::egui;
 
-use crate::solution::Solution;
+use crate::studio::Document;
 use crate::worker::{Command, Event, OpenedCapture, Purpose, Source, Worker};
 use capture_page::CapturePage;
 use commands::{Action, ENTRIES};
 use estimation::Estimation;
+use navigation::Habit;
 use notices::{Notices, Weight};
 use open_path::OpenPath;
 use palette::{Chosen, CommandPalette};
@@ -55,7 +56,6 @@ enum Page {
 enum Doing {
     Opening(Source),
     Solving,
-    Task,
 }
 
 /// A command under way.
@@ -69,7 +69,6 @@ struct Job {
 struct Shared<'a> {
     worker: &'a mut Worker,
     settings: &'a mut Settings,
-    notices: &'a mut Notices,
     /// Commands given on this page, to be carried out after it is drawn.
     actions: &'a mut Vec<Request>,
     /// Whether the worker has something to do.
@@ -81,6 +80,7 @@ struct Shared<'a> {
 enum Request {
     Action(Action),
     Open(Source),
+    Habit(Habit),
 }
 
 /// The window's state.
@@ -136,7 +136,7 @@ impl App {
         if let Some(job) = &self.job {
             let text = match job.doing {
                 Doing::Solving => "Stop the estimation first, or wait for its end.",
-                _ => "Something else is being opened or written; wait for its end.",
+                Doing::Opening(_) => "Something else is being opened; wait for its end.",
             };
             self.notices.add(Weight::Note, "One thing at a time", text);
             return;
@@ -182,7 +182,7 @@ impl App {
             } else {
                 None
             };
-            self.hear(ctx, event, doing);
+            self.hear(ctx, event, doing.as_ref());
         }
         let rendered = self.worker.rendered();
         if let Some(rendered) = rendered {
@@ -201,14 +201,30 @@ impl App {
         }
     }
 
-    fn hear(&mut self, ctx: &egui::Context, event: Event, doing: Option<Doing>) {
+    fn hear(&mut self, ctx: &egui::Context, event: Event, doing: Option<&Doing>) {
         match event {
             Event::Capture(opened) => self.show_capture(ctx, *opened),
             Event::Solution { folder, solution } => {
                 self.settings.remember(&folder);
                 self.capture = None;
                 self.estimation = None;
-                self.show_solution(solution, Some(&folder));
+                self.notices.clear_errors();
+                self.show_document(Document::new(solution, Some(folder)));
+            }
+            Event::Project {
+                path,
+                document,
+                warnings,
+            } => {
+                self.notices.clear_errors();
+                self.settings.remember(&path);
+                self.capture = None;
+                self.estimation = None;
+                for warning in warnings {
+                    self.notices
+                        .add(Weight::Note, "About this project", warning);
+                }
+                self.show_document(*document);
             }
             Event::Solved(solution) => {
                 self.notices.clear_errors();
@@ -221,12 +237,12 @@ impl App {
                     n => format!("{n} lamps were found."),
                 };
                 self.notices.add(Weight::Done, "Estimated", text);
-                self.show_solution(solution, None);
+                self.show_document(Document::new(solution, None));
             }
             Event::Done { what } => self.notices.add(Weight::Done, what, ""),
             Event::Stopped => {
                 if let Some(estimation) = &mut self.estimation
-                    && doing == Some(Doing::Solving)
+                    && doing == Some(&Doing::Solving)
                 {
                     estimation.stopped();
                     self.notices.add(
@@ -238,7 +254,7 @@ impl App {
             }
             Event::Failed { what, message } => {
                 if let Some(estimation) = &mut self.estimation
-                    && doing == Some(Doing::Solving)
+                    && doing == Some(&Doing::Solving)
                 {
                     estimation.stopped();
                 }
@@ -258,11 +274,7 @@ impl App {
     fn picked(&mut self, purpose: Purpose, path: PathBuf) {
         match purpose {
             Purpose::OpenFolder | Purpose::OpenFile => self.open(Source::Path(path)),
-            Purpose::SaveProject | Purpose::ExportFolder | Purpose::LightProbe => {
-                if let Some(relighting) = &mut self.relighting {
-                    relighting.picked(purpose, path);
-                }
-            }
+            Purpose::SaveProject | Purpose::ExportFolder | Purpose::LightProbe => {}
         }
     }
 
@@ -277,9 +289,9 @@ impl App {
         self.page = Page::Capture;
     }
 
-    fn show_solution(&mut self, solution: Arc<Solution>, folder: Option<&Path>) {
+    fn show_document(&mut self, document: Document) {
         let capture = self.capture.as_ref().map(|page| Arc::clone(page.capture()));
-        self.relighting = Some(Relighting::new(solution, capture, folder));
+        self.relighting = Some(Relighting::new(document, capture.as_ref()));
         self.page = Page::Relighting;
     }
 
@@ -297,11 +309,14 @@ impl App {
             Action::ShowCapture => self.capture.is_some(),
             Action::ShowEstimation => self.estimation.is_some(),
             Action::ShowRelighting => self.relighting.is_some(),
-            Action::Frame | Action::ResetView => self.viewport().is_some(),
             Action::Camera(n) => self
                 .viewport()
                 .is_some_and(|viewport| usize::from(n) < viewport.cameras()),
-            Action::Brighter | Action::Darker | Action::ResetExposure => self.viewport().is_some(),
+            Action::Frame
+            | Action::ResetView
+            | Action::Brighter
+            | Action::Darker
+            | Action::ResetExposure => self.viewport().is_some(),
             _ => true,
         }
     }
@@ -429,7 +444,6 @@ impl App {
         let mut shared = Shared {
             worker: &mut self.worker,
             settings: &mut self.settings,
-            notices: &mut self.notices,
             actions: &mut actions,
             busy: self.job.is_some(),
         };
@@ -452,7 +466,7 @@ impl App {
             Page::Welcome => {
                 let opening = self.job.as_ref().and_then(|job| match &job.doing {
                     Doing::Opening(source) => Some(source),
-                    _ => None,
+                    Doing::Solving => None,
                 });
                 welcome::show(ui, &mut shared, self.welcome.as_ref(), opening);
             }
@@ -505,6 +519,7 @@ impl eframe::App for App {
             match request {
                 Request::Action(action) => self.act(&ctx, action),
                 Request::Open(source) => self.open(source),
+                Request::Habit(habit) => self.settings.habit = habit,
             }
         }
         self.show_dialogs(&ctx);

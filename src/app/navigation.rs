@@ -49,19 +49,16 @@ impl Habit {
                 ("Drag, right drag", "Turn"),
                 ("Middle drag, Shift+drag", "Pan"),
                 ("Wheel, pinch", "Zoom"),
-                ("Double click", "Turn about this point"),
             ],
             Self::Blender => &[
                 ("Middle drag", "Turn"),
                 ("Shift+middle drag", "Pan"),
                 ("Ctrl+middle drag, wheel", "Zoom"),
-                ("Double click", "Turn about this point"),
             ],
             Self::Maya => &[
                 ("Alt+drag", "Turn"),
                 ("Alt+middle drag", "Pan"),
                 ("Alt+right drag, wheel", "Zoom"),
-                ("Double click", "Turn about this point"),
             ],
         }
     }
@@ -73,22 +70,31 @@ impl Habit {
         modifiers: egui::Modifiers,
         free: bool,
     ) -> Option<Movement> {
+        use PointerButton::{Middle, Primary, Secondary};
         let egui::Modifiers {
             alt, shift, ctrl, ..
         } = modifiers;
-        match (self, button) {
-            (Self::Rekindle, PointerButton::Middle) => Some(Movement::Pan),
-            (Self::Rekindle, PointerButton::Secondary) if shift => Some(Movement::Pan),
-            (Self::Rekindle, PointerButton::Secondary) => Some(Movement::Turn),
-            (Self::Rekindle, PointerButton::Primary) if free && shift => Some(Movement::Pan),
-            (Self::Rekindle, PointerButton::Primary) if free => Some(Movement::Turn),
-            (Self::Blender, PointerButton::Middle) if shift => Some(Movement::Pan),
-            (Self::Blender, PointerButton::Middle) if ctrl => Some(Movement::Zoom),
-            (Self::Blender, PointerButton::Middle) => Some(Movement::Turn),
-            (Self::Maya, PointerButton::Primary) if alt => Some(Movement::Turn),
-            (Self::Maya, PointerButton::Middle) if alt => Some(Movement::Pan),
-            (Self::Maya, PointerButton::Secondary) if alt => Some(Movement::Zoom),
-            _ => None,
+        match self {
+            Self::Rekindle => match button {
+                Middle => Some(Movement::Pan),
+                Primary if !free => None,
+                Primary | Secondary if shift => Some(Movement::Pan),
+                Primary | Secondary => Some(Movement::Turn),
+                _ => None,
+            },
+            Self::Blender => match button {
+                Middle if shift => Some(Movement::Pan),
+                Middle if ctrl => Some(Movement::Zoom),
+                Middle => Some(Movement::Turn),
+                _ => None,
+            },
+            Self::Maya if !alt => None,
+            Self::Maya => match button {
+                Primary => Some(Movement::Turn),
+                Middle => Some(Movement::Pan),
+                Secondary => Some(Movement::Zoom),
+                _ => None,
+            },
         }
     }
 }
@@ -202,11 +208,6 @@ impl Navigation {
     /// Back to the first viewpoint.
     pub fn reset(&mut self) {
         self.goal = self.first;
-    }
-
-    /// Turns about this point from now on.
-    pub fn look_at(&mut self, point: DVec3) {
-        self.goal.target = point;
     }
 
     /// Takes in the mouse over the viewport; `free` where the left button has nothing else to do. Whether the view moves.

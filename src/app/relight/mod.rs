@@ -1,6 +1,5 @@
 //! The page on which the object is relit.
 
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eframe::egui;
@@ -8,32 +7,23 @@ use eframe::egui;
 use super::viewport::Viewport;
 use super::{Shared, theme};
 use crate::capture::Capture;
-use crate::solution::Solution;
-use crate::worker::{Purpose, Rendered, Subject};
+use crate::studio::Document;
+use crate::worker::{Rendered, Subject};
 
-/// A solution that is being relit.
+/// A document that is being edited.
 pub struct Relighting {
-    solution: Arc<Solution>,
+    document: Document,
     viewport: Viewport,
-    /// Changes with the lighting.
-    version: u64,
 }
 
 impl Relighting {
-    /// Shows a solution; `capture` is what it was solved from, if that is open, `folder` where it is stored.
-    pub fn new(
-        solution: Arc<Solution>,
-        capture: Option<Arc<Capture>>,
-        _folder: Option<&Path>,
-    ) -> Self {
-        let views = capture.as_ref().map_or(&[][..], |capture| &capture.views);
+    /// Shows a document; `capture` is what it was solved from, if that is open.
+    pub fn new(document: Document, capture: Option<&Arc<Capture>>) -> Self {
+        let solution = document.solution();
+        let views = capture.map_or(&[][..], |capture| &capture.views);
         let mut viewport = Viewport::new(&solution.mesh, solution.grid.up, views);
         viewport.set_white(solution.white());
-        Self {
-            solution,
-            viewport,
-            version: 0,
-        }
+        Self { document, viewport }
     }
 
     /// The view of the object.
@@ -51,9 +41,6 @@ impl Relighting {
         self.viewport.rendered(ctx, rendered);
     }
 
-    /// A path was chosen in a file dialog.
-    pub fn picked(&mut self, _purpose: Purpose, _path: PathBuf) {}
-
     /// Shows the page.
     pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
         egui::Panel::left("lamps")
@@ -63,20 +50,19 @@ impl Relighting {
             .size_range(220.0..=420.0)
             .show(ui, |ui| {
                 theme::group(ui, "Lamps");
-                for lamp in &self.solution.lamps {
+                for lamp in &self.document.look().lamps {
                     ui.label(&lamp.name);
                 }
             });
         egui::CentralPanel::default()
             .frame(theme::stage())
             .show(ui, |ui| {
-                let solution = &self.solution;
-                let habit = shared.settings.habit;
-                self.viewport
-                    .show(ui, shared.worker, habit, self.version, || {
-                        let lighting = solution.lighting();
-                        Some((Subject::Solved(Arc::clone(solution)), lighting))
-                    });
+                let (document, habit) = (&self.document, shared.settings.habit);
+                let revision = document.revision();
+                self.viewport.show(ui, shared.worker, habit, revision, || {
+                    let subject = Subject::Solved(Arc::clone(document.solution()));
+                    Some((subject, document.light().lighting))
+                });
             });
     }
 }
