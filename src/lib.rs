@@ -6,6 +6,7 @@ pub mod cli;
 #[cfg(test)]
 mod damage;
 pub mod estimate;
+pub mod export;
 pub mod hemisphere;
 pub mod math;
 pub mod preflight;

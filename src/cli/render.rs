@@ -1,6 +1,5 @@
 //! `rekindle render`: pictures of a solution from given cameras, under edited light.
 
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -11,9 +10,9 @@ use super::interrupt;
 use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
 use crate::capture::{Camera, read_cameras};
-use crate::relight::{self, Diffuse, Edit, Interreflection, Picture, Scene, Shader, Surroundings};
+use crate::export::{self, Depth, PngFile, Shown};
+use crate::relight::{self, Edit, Picture};
 use crate::solution::{Solution, Staging, solution_folder, write_rgb, write_rgba};
-use crate::surface::Occluder;
 
 /// Arguments of `rekindle render`.
 #[derive(clap::Args)]
@@ -113,21 +112,15 @@ pub(super) fn shots(cameras: &Path) -> anyhow::Result<Vec<Shot>> {
 
 /// A solution ready to be rendered.
 pub(super) struct Renderer<'a> {
-    solution: &'a Solution,
-    occluder: Occluder,
-    interreflection: Option<Interreflection>,
+    renderer: export::Renderer<'a>,
     /// Radiance that becomes white in tone-mapped pictures.
     white: f32,
 }
 
 impl<'a> Renderer<'a> {
     pub(super) fn new(solution: &'a Solution) -> Self {
-        let occluder = Occluder::new(&solution.mesh);
-        let interreflection = Interreflection::new(&solution.mesh, &occluder, solution.brdf);
         Self {
-            solution,
-            occluder,
-            interreflection,
+            renderer: export::Renderer::new(solution),
             white: solution.white(),
         }
     }
@@ -141,40 +134,8 @@ impl<'a> Renderer<'a> {
         staging: &Staging,
         progress: &mut Progress,
     ) -> anyhow::Result<Vec<String>> {
-        let solution = self.solution;
-        let original = solution.lighting();
-        let lighting = relight::apply(edits, &original)?;
-        let shader = Shader::new(&self.occluder, solution.brdf, &lighting);
-        let unchanged = lighting == original;
-        let (atlas, texture) = if unchanged {
-            (&solution.atlas, &solution.diffuse)
-        } else {
-            (&solution.atlas, &solution.albedo)
-        };
-        let relit = self
-            .interreflection
-            .as_ref()
-            .filter(|_| !unchanged)
-            .map(|i| i.of_light(&solution.mesh, &shader, atlas, texture));
-        let scene = Scene {
-            mesh: &solution.mesh,
-            occluder: &self.occluder,
-            brdf: solution.brdf,
-            surroundings: self
-                .interreflection
-                .as_ref()
-                .map(|interreflection| Surroundings {
-                    interreflection,
-                    atlas,
-                    texture,
-                    relit: relit.as_ref(),
-                }),
-        };
-        let diffuse = if unchanged {
-            Diffuse::Stored(atlas, texture)
-        } else {
-            Diffuse::Relit(atlas, texture)
-        };
+        let lighting = relight::apply(edits, self.renderer.original())?;
+        let lit = self.renderer.light(&lighting);
         let mut files = Vec::new();
         for (i, shot) in shots.iter().enumerate() {
             interrupt::check()?;
@@ -182,7 +143,7 @@ impl<'a> Renderer<'a> {
                 &format!("rendering {}", shot.stem),
                 i as f32 / shots.len() as f32,
             );
-            let picture = relight::render(&scene, &shot.camera, &shader, diffuse);
+            let picture = lit.picture(&shot.camera);
             self.write(&picture, &shot.stem, layers, staging.path(), &mut files)
                 .with_context(|| cannot_write(staging.target()))?;
         }
@@ -211,7 +172,15 @@ impl<'a> Renderer<'a> {
             .map(|(&d, &s)| (Vec3::from(d) + Vec3::from(s)).to_array())
             .collect();
         write_rgba(&add(".exr"), width, &sum, &picture.coverage)?;
-        write_png(&add(".png"), width, &sum, &picture.coverage, self.white)?;
+        let display = |radiance: Vec3| tone_mapped(radiance / self.white);
+        let shown = Shown {
+            display: &display,
+            background: None,
+        };
+        let size = [width, picture.height];
+        let mut png = PngFile::create(&add(".png"), size, Depth::Eight, shown)?;
+        png.rows(&sum, &picture.coverage)?;
+        png.finish()?;
         if layers {
             write_rgba(
                 &add(".diffuse.exr"),
@@ -225,14 +194,8 @@ impl<'a> Renderer<'a> {
     }
 }
 
-/// Writes a tone-mapped picture: sRGB, 8 bits, straight alpha.
-fn write_png(
-    path: &Path,
-    width: u32,
-    rgb: &[[f32; 3]],
-    coverage: &[f32],
-    white: f32,
-) -> io::Result<()> {
+/// Display values, encoded for an sRGB screen, of radiance of which 1 is white.
+fn tone_mapped(radiance: Vec3) -> Vec3 {
     /// Above this part of white, values are compressed instead of cut.
     const SHOULDER: f32 = 0.75;
     let tone = |v: f32| {
@@ -242,27 +205,5 @@ fn write_png(
             1.0 - (1.0 - SHOULDER) * (-(v - SHOULDER) / (1.0 - SHOULDER)).exp()
         }
     };
-    let mut bytes = Vec::with_capacity(4 * rgb.len());
-    for (&pixel, &alpha) in rgb.iter().zip(coverage) {
-        let straight = Vec3::from(pixel) / (alpha.max(1e-6) * white);
-        let encoded = relight::srgb(Vec3::new(
-            tone(straight.x),
-            tone(straight.y),
-            tone(straight.z),
-        ));
-        bytes.extend(encoded.to_array().map(|v| (v * 255.0 + 0.5) as u8));
-        bytes.push((alpha * 255.0 + 0.5) as u8);
-    }
-    let height = rgb.len() as u32 / width.max(1);
-    let mut encoded = Vec::new();
-    image::write_buffer_with_format(
-        &mut io::Cursor::new(&mut encoded),
-        &bytes,
-        width,
-        height,
-        image::ColorType::Rgba8,
-        image::ImageFormat::Png,
-    )
-    .map_err(io::Error::other)?;
-    fs::write(path, encoded)
+    relight::srgb(Vec3::from(radiance.to_array().map(tone)))
 }

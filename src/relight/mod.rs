@@ -22,6 +22,6 @@ pub use environment::LatLong;
 pub use interreflection::{Field, Interreflection, Relit};
 pub use lighting::{LampNodes, LightNode, Lighting};
 pub use reflection::Surroundings;
-pub use render::{Diffuse, Picture, Scene, render};
+pub use render::{Band, Diffuse, Picture, Scene, Stop, render, render_bands};
 pub use samples::{Sample, Samples};
 pub use shading::{Shade, Shader, ShadingPoint, Visibility};

@@ -4,6 +4,8 @@
 //! radiance and irradiance vary slowly, so they are computed once for all sub-samples of a pixel that lie on one
 //! smooth piece of surface, and for each quarter of the pixel where a shadow's edge passes.
 
+use std::ops::{ControlFlow, Range};
+
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -17,7 +19,7 @@ use crate::surface::{Atlas, Occluder};
 /// Sub-samples along each side of a pixel.
 const FACTOR: u32 = 4;
 /// Pixels along each side of a tile, the unit of work.
-const TILE: usize = 32;
+pub(super) const TILE: usize = 32;
 /// Neighbouring pixels whose seen part of a lamp differs by more have a shadow's edge between them.
 const EDGE_SHARE: f32 = 0.02;
 /// Normals of one smooth piece differ by at most this part of the roughness …
@@ -64,6 +66,9 @@ pub struct Picture {
     pub specular: Vec<[f32; 3]>,
 }
 
+/// Says, asked from any thread, whether to break off.
+pub type Stop<'a> = &'a (dyn Fn() -> bool + Sync);
+
 /// A pixel's sub-samples on one smooth piece of surface.
 #[derive(Clone, Copy)]
 struct Piece {
@@ -82,20 +87,67 @@ struct Pixel {
     specular: Vec3,
 }
 
+/// Some rows of a picture, pixel by pixel from the left of the first row.
+pub struct Band<'a> {
+    /// Rows of the picture.
+    pub rows: Range<usize>,
+    /// What the pixels show of the surface.
+    pub samples: &'a Samples,
+    /// Part of each pixel that the object covers.
+    pub coverage: Vec<f32>,
+    /// Diffuse part, premultiplied by coverage.
+    pub diffuse: Vec<[f32; 3]>,
+    /// Specular part, premultiplied by coverage.
+    pub specular: Vec<[f32; 3]>,
+}
+
+/// Renders a picture band by band from the top, so that no more than a band is ever held. Breaks off soon after `stop` says
+/// so, and where `each` does.
+pub fn render_bands(
+    scene: &Scene,
+    camera: &Camera,
+    shader: &Shader,
+    diffuse: Diffuse,
+    stop: Stop,
+    each: &mut dyn FnMut(&Band) -> ControlFlow<()>,
+) -> ControlFlow<()> {
+    for rows in bands(camera, FACTOR) {
+        if stop() {
+            return ControlFlow::Break(());
+        }
+        let samples = Samples::trace(scene.mesh, scene.occluder, camera, rows.clone(), FACTOR);
+        let pixels = render_band(scene, camera, shader, diffuse, &samples, stop);
+        if stop() {
+            return ControlFlow::Break(());
+        }
+        each(&Band {
+            rows,
+            samples: &samples,
+            coverage: pixels.iter().map(|p| p.coverage).collect(),
+            diffuse: pixels.iter().map(|p| p.diffuse.to_array()).collect(),
+            specular: pixels.iter().map(|p| p.specular.to_array()).collect(),
+        })?;
+    }
+    ControlFlow::Continue(())
+}
+
 /// Renders a picture.
 pub fn render(scene: &Scene, camera: &Camera, shader: &Shader, diffuse: Diffuse) -> Picture {
-    let mut pixels = Vec::with_capacity((camera.width * camera.height) as usize);
-    for rows in bands(camera, FACTOR) {
-        let samples = Samples::trace(scene.mesh, scene.occluder, camera, rows, FACTOR);
-        pixels.extend(render_band(scene, camera, shader, diffuse, &samples));
-    }
-    Picture {
+    let mut picture = Picture {
         width: camera.width,
         height: camera.height,
-        coverage: pixels.iter().map(|p| p.coverage).collect(),
-        diffuse: pixels.iter().map(|p| p.diffuse.to_array()).collect(),
-        specular: pixels.iter().map(|p| p.specular.to_array()).collect(),
-    }
+        coverage: Vec::new(),
+        diffuse: Vec::new(),
+        specular: Vec::new(),
+    };
+    let all = render_bands(scene, camera, shader, diffuse, &|| false, &mut |band| {
+        picture.coverage.extend_from_slice(&band.coverage);
+        picture.diffuse.extend_from_slice(&band.diffuse);
+        picture.specular.extend_from_slice(&band.specular);
+        ControlFlow::Continue(())
+    });
+    debug_assert!(all.is_continue(), "nothing stops it");
+    picture
 }
 
 /// Specular radiance of the pixels that `samples` cover, premultiplied by coverage.
@@ -105,7 +157,7 @@ pub(super) fn specular_band(
     shader: &Shader,
     samples: &Samples,
 ) -> Vec<Vec3> {
-    render_band(scene, camera, shader, Diffuse::Absent, samples)
+    render_band(scene, camera, shader, Diffuse::Absent, samples, &|| false)
         .into_iter()
         .map(|p| p.specular)
         .collect()
@@ -117,6 +169,7 @@ fn render_band(
     shader: &Shader,
     diffuse: Diffuse,
     samples: &Samples,
+    stop: Stop,
 ) -> Vec<Pixel> {
     let (width, height) = (samples.width, samples.rows.len());
     let columns = width.div_ceil(TILE);
@@ -125,6 +178,9 @@ fn render_band(
         .map(|tile| {
             let corner = [tile % columns * TILE, tile / columns * TILE];
             let size = [TILE.min(width - corner[0]), TILE.min(height - corner[1])];
+            if stop() {
+                return vec![Pixel::default(); size[0] * size[1]];
+            }
             Tile {
                 scene,
                 shader,

@@ -5,6 +5,7 @@ use std::ops::Range;
 use glam::Vec2;
 use rayon::prelude::*;
 
+use super::render::TILE;
 use crate::capture::{Camera, Mesh};
 use crate::surface::{NO_TRIANGLE, Occluder, barycentric_at, front_most};
 
@@ -105,12 +106,13 @@ impl Samples {
     }
 }
 
-/// Ranges of rows to trace one after the other.
+/// Ranges of rows to trace one after the other. Each but the last is whole tiles of the renderer, so that a picture doesn't
+/// depend on how it is cut.
 pub fn bands(camera: &Camera, factor: u32) -> impl Iterator<Item = Range<usize>> {
-    let per_row = (camera.width * factor * factor) as usize;
-    let rows = (BAND_SAMPLES / per_row.max(1)).max(1);
+    let per_row = camera.width as usize * (factor * factor) as usize;
+    let tiles = (BAND_SAMPLES / (per_row * TILE).max(1)).max(1);
     let height = camera.height as usize;
     (0..height)
-        .step_by(rows)
-        .map(move |start| start..(start + rows).min(height))
+        .step_by(tiles * TILE)
+        .map(move |start| start..(start + tiles * TILE).min(height))
 }

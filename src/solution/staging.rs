@@ -99,6 +99,18 @@ impl Staging {
         })
     }
 
+    /// An empty folder inside `target`, for files that are to be added to it; `target` and its missing parents are made.
+    pub fn within(target: &Path) -> io::Result<Self> {
+        let path = target.join(format!(".unfinished-{}", std::process::id()));
+        let mut all = unfinished();
+        let folders = Folders::make(path, target)?;
+        all.push(folders.clone());
+        Ok(Self {
+            folders,
+            target: target.to_owned(),
+        })
+    }
+
     /// The folder to write into.
     pub fn path(&self) -> &Path {
         &self.folders.path
@@ -205,5 +217,11 @@ mod tests {
         staging.add().unwrap();
         assert!(target.join("other").exists() && target.join("one").exists());
         assert_eq!(fs::read_dir(parent.path()).unwrap().count(), 1);
+        let staging = Staging::within(&target).unwrap();
+        fs::write(staging.path().join("two"), "2").unwrap();
+        staging.add().unwrap();
+        assert_eq!(fs::read_dir(&target).unwrap().count(), 3);
+        drop(Staging::within(&parent.path().join("new/pictures")).unwrap());
+        assert!(!parent.path().join("new").exists());
     }
 }

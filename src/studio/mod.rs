@@ -10,7 +10,7 @@ mod recovery;
 mod view_transform;
 
 #[cfg(test)]
-mod fixtures;
+pub(crate) mod fixtures;
 #[cfg(test)]
 mod tests;
 

@@ -1,0 +1,364 @@
+//! A list of pictures to be made, and the making of them.
+
+use std::io;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::Vec3;
+use thiserror::Error;
+
+use super::exr_bands::{self, Sink};
+use super::png_file::{Animation, Depth, PngFile, Shown};
+use super::renderer::{LitScene, Renderer};
+use crate::capture::Camera;
+use crate::relight::{Band, Lighting, ShadingPoint, Stop};
+use crate::solution::{Solution, Staging};
+use crate::studio::ViewTransform;
+
+/// Pictures are at most this many pixels wide and high.
+pub const MAX_SIDE: u32 = 8192;
+/// Animations, of which a whole frame is held, at most this many.
+const MAX_ANIMATION_SIDE: u32 = 4096;
+
+/// One picture.
+#[derive(Clone, Debug)]
+pub struct Shot {
+    /// File name without extension.
+    pub stem: String,
+    /// Where it is taken from, and its size.
+    pub camera: Camera,
+    /// Its light.
+    pub lighting: Arc<Lighting>,
+}
+
+/// What to write.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// At least one. Those of one light should follow each other.
+    pub shots: Vec<Shot>,
+    /// Write PNG files of this depth.
+    pub png: Option<Depth>,
+    /// Write EXR files: linear radiance, premultiplied by alpha.
+    pub exr: bool,
+    /// Put layers beside the picture in EXR files: diffuse, specular, albedo, normal and depth.
+    pub layers: bool,
+    /// Write all shots, which must be of one size, as an animated PNG of this name (without extension) and speed in frames
+    /// per second.
+    pub animation: Option<(String, u16)>,
+    /// How PNG files show radiance.
+    pub transform: ViewTransform,
+    /// Factor of radiance before the view transform.
+    pub exposure: f32,
+    /// Display values behind the object in PNG files; `None` leaves them transparent.
+    pub background: Option<[f32; 3]>,
+    /// Folder for the files; others in it stay.
+    pub folder: PathBuf,
+}
+
+/// Why pictures could not be made.
+#[derive(Debug, Error)]
+pub enum ExportError {
+    /// It was asked for.
+    #[error("the export was stopped; nothing was written")]
+    Stopped,
+    /// A size that can't be made.
+    #[error("{width}×{height} pixels can't be exported; each side must be 1 to {limit}")]
+    Size {
+        /// Asked for.
+        width: u32,
+        /// Asked for.
+        height: u32,
+        /// The most.
+        limit: u32,
+    },
+    /// Frames of an animation of different sizes.
+    #[error(
+        "the frames of an animation must all be of one size; export cameras of several sizes as single pictures"
+    )]
+    Sizes,
+    /// Nothing to do.
+    #[error("nothing to export; choose at least one file type and one camera")]
+    Nothing,
+    /// Writing failed.
+    #[error(
+        "{path}: can't be written: {source}; choose a folder you may write to, on a disk with space left"
+    )]
+    Write {
+        /// The folder.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+/// Channels of an EXR file, in alphabetical order: without layers, and with them. Normals are of the world, unit; depth is
+/// the distance along the camera's axis in mesh units, 0 where there is nothing.
+const CHANNELS: [&str; 4] = ["A", "B", "G", "R"];
+const LAYERED: [&str; 17] = [
+    "A",
+    "B",
+    "G",
+    "R",
+    "Z",
+    "albedo.B",
+    "albedo.G",
+    "albedo.R",
+    "diffuse.B",
+    "diffuse.G",
+    "diffuse.R",
+    "normal.X",
+    "normal.Y",
+    "normal.Z",
+    "specular.B",
+    "specular.G",
+    "specular.R",
+];
+
+impl Job {
+    fn check(&self) -> Result<(), ExportError> {
+        if self.shots.is_empty() || !(self.exr || self.png.is_some() || self.animation.is_some()) {
+            return Err(ExportError::Nothing);
+        }
+        let limit = if self.animation.is_some() {
+            MAX_ANIMATION_SIDE
+        } else {
+            MAX_SIDE
+        };
+        let size = |shot: &Shot| (shot.camera.width, shot.camera.height);
+        for (width, height) in self.shots.iter().map(size) {
+            if !(1..=limit).contains(&width) || !(1..=limit).contains(&height) {
+                return Err(ExportError::Size {
+                    width,
+                    height,
+                    limit,
+                });
+            }
+        }
+        let first = self.shots.first().map(size);
+        if self.animation.is_some() && self.shots.iter().any(|s| Some(size(s)) != first) {
+            return Err(ExportError::Sizes);
+        }
+        Ok(())
+    }
+}
+
+/// Makes all pictures of a job. `progress` hears which part of the whole is done, from 0 to 1, and what is being made;
+/// `stop` is asked all the time. Returns the files.
+pub fn export(
+    renderer: &Renderer,
+    job: &Job,
+    stop: Stop,
+    progress: &mut dyn FnMut(f32, &str),
+) -> Result<Vec<PathBuf>, ExportError> {
+    job.check()?;
+    let failed = |source: io::Error| {
+        if stop() {
+            return ExportError::Stopped;
+        }
+        ExportError::Write {
+            path: job.folder.clone(),
+            source,
+        }
+    };
+    let staging = Staging::within(&job.folder).map_err(failed)?;
+    let display = |radiance: Vec3| job.transform.apply(radiance * job.exposure);
+    let shown = Shown {
+        display: &display,
+        background: job.background.map(Vec3::from),
+    };
+    let mut writer = Writer {
+        job,
+        shown,
+        folder: staging.path(),
+        animation: None,
+        files: Vec::new(),
+    };
+    let mut lit: Option<(&Lighting, LitScene)> = None;
+    for (i, shot) in job.shots.iter().enumerate() {
+        let done = |part: f32| (i as f32 + part) / job.shots.len() as f32;
+        progress(done(0.0), &shot.stem);
+        if stop() {
+            return Err(ExportError::Stopped);
+        }
+        let lighting = shot.lighting.as_ref();
+        if lit.as_ref().is_none_or(|(before, _)| *before != lighting) {
+            lit = Some((lighting, renderer.light(lighting)));
+        }
+        if let Some((_, lit)) = &lit {
+            let mut rows_done = |part: f32| progress(done(part), &shot.stem);
+            writer
+                .shoot(renderer.solution(), lit, shot, stop, &mut rows_done)
+                .map_err(failed)?;
+        }
+    }
+    let files = writer.finish().map_err(failed)?;
+    if stop() {
+        return Err(ExportError::Stopped);
+    }
+    staging.add().map_err(failed)?;
+    progress(1.0, "");
+    Ok(files.iter().map(|name| job.folder.join(name)).collect())
+}
+
+/// Writes the files of a job into a folder.
+struct Writer<'a> {
+    job: &'a Job,
+    shown: Shown<'a>,
+    folder: &'a Path,
+    animation: Option<Animation>,
+    files: Vec<String>,
+}
+
+impl Writer<'_> {
+    fn file(&mut self, name: String) -> PathBuf {
+        let path = self.folder.join(&name);
+        self.files.push(name);
+        path
+    }
+
+    fn shoot(
+        &mut self,
+        solution: &Solution,
+        lit: &LitScene,
+        shot: &Shot,
+        stop: Stop,
+        progress: &mut dyn FnMut(f32),
+    ) -> io::Result<()> {
+        let camera = &shot.camera;
+        let size = [camera.width, camera.height];
+        let mut png = match self.job.png {
+            Some(depth) => {
+                let path = self.file(format!("{}.png", shot.stem));
+                Some(PngFile::create(&path, size, depth, self.shown)?)
+            }
+            None => None,
+        };
+        let mut frame = self.job.animation.is_some().then(Vec::new);
+        let shown = self.shown;
+        let layers = self.job.layers;
+        let mut render = |mut exr: Option<&mut Sink>| {
+            let mut problem = None;
+            let all = lit.bands(camera, stop, &mut |band| {
+                let rgb = sum(band);
+                let mut write = || -> io::Result<()> {
+                    if let Some(png) = &mut png {
+                        png.rows(&rgb, &band.coverage)?;
+                    }
+                    if let Some(frame) = &mut frame {
+                        frame.extend(shown.encode(&rgb, &band.coverage, Depth::Eight));
+                    }
+                    if let Some(exr) = &mut exr {
+                        exr(&planes(solution, camera, band, &rgb, layers))?;
+                    }
+                    Ok(())
+                };
+                match write() {
+                    Ok(()) => {
+                        progress(band.rows.end as f32 / camera.height as f32);
+                        ControlFlow::Continue(())
+                    }
+                    Err(error) => {
+                        problem = Some(error);
+                        ControlFlow::Break(())
+                    }
+                }
+            });
+            match (problem, all) {
+                (Some(error), _) => Err(error),
+                (None, ControlFlow::Break(())) => Err(io::Error::other("stopped")),
+                (None, ControlFlow::Continue(())) => Ok(()),
+            }
+        };
+        if self.job.exr {
+            let name = format!("{}.exr", shot.stem);
+            let path = self.folder.join(&name);
+            let channels: &[&str] = if layers { &LAYERED } else { &CHANNELS };
+            exr_bands::write(&path, size, channels, |sink| render(Some(sink)))?;
+            self.files.push(name);
+        } else {
+            render(None)?;
+        }
+        if let Some(png) = png {
+            png.finish()?;
+        }
+        if let Some(frame) = frame {
+            self.add_frame(size, &frame)?;
+        }
+        Ok(())
+    }
+
+    fn add_frame(&mut self, size: [u32; 2], frame: &[u8]) -> io::Result<()> {
+        let Some((name, speed)) = &self.job.animation else {
+            return Ok(());
+        };
+        let mut animation = if let Some(animation) = self.animation.take() {
+            animation
+        } else {
+            let frames = self.job.shots.len() as u32;
+            let path = self.folder.join(format!("{name}.apng"));
+            self.files.push(format!("{name}.apng"));
+            Animation::create(&path, size, frames, *speed, &self.shown)?
+        };
+        animation.frame(frame)?;
+        self.animation = Some(animation);
+        Ok(())
+    }
+
+    fn finish(self) -> io::Result<Vec<String>> {
+        if let Some(animation) = self.animation {
+            animation.finish()?;
+        }
+        Ok(self.files)
+    }
+}
+
+/// Diffuse and specular part together.
+fn sum(band: &Band) -> Vec<[f32; 3]> {
+    band.diffuse
+        .iter()
+        .zip(&band.specular)
+        .map(|(&d, &s)| (Vec3::from(d) + Vec3::from(s)).to_array())
+        .collect()
+}
+
+/// The values of each channel, in the order of [`CHANNELS`] or [`LAYERED`].
+fn planes(
+    solution: &Solution,
+    camera: &Camera,
+    band: &Band,
+    rgb: &[[f32; 3]],
+    layers: bool,
+) -> Vec<Vec<f32>> {
+    let channel = |pixels: &[[f32; 3]], c: usize| pixels.iter().map(|p| p[c]).collect();
+    let all = |pixels: &[[f32; 3]]| [2, 1, 0].map(|c| channel(pixels, c));
+    let mut planes = vec![band.coverage.clone()];
+    planes.extend(all(rgb));
+    if !layers {
+        return planes;
+    }
+    let mut albedo = Vec::with_capacity(rgb.len());
+    let mut normals = Vec::with_capacity(rgb.len());
+    let mut depths = Vec::with_capacity(rgb.len());
+    for i in 0..rgb.len() {
+        let samples = band.samples.of(i);
+        let (mut colour, mut normal, mut depth) = (Vec3::ZERO, Vec3::ZERO, 0.0);
+        for s in samples {
+            let point = ShadingPoint::on(&solution.mesh, s.triangle, s.barycentric);
+            colour += solution
+                .atlas
+                .sample(&solution.albedo, s.triangle, s.barycentric);
+            normal += point.normal;
+            depth -= camera.to_camera(point.position.as_dvec3()).z as f32;
+        }
+        albedo.push((colour / band.samples.full() as f32).to_array());
+        normals.push(normal.normalize_or_zero().to_array());
+        depths.push(depth / samples.len().max(1) as f32);
+    }
+    planes.push(depths);
+    planes.extend(all(&albedo));
+    planes.extend(all(&band.diffuse));
+    planes.extend([0, 1, 2].map(|c| channel(&normals, c)));
+    planes.extend(all(&band.specular));
+    planes
+}
