@@ -19,7 +19,7 @@ use crate::hemisphere::{FromAbove, HemisphereGrid, Picture};
 use crate::preflight::{Report, Thumbnail};
 use crate::relight::{self, Diffuse, Interreflection, Lighting, Scene, Shader, Surroundings};
 use crate::solution::{Solution, SolveOptions, solution_folder, solve};
-use crate::studio::{Document, EXTENSION};
+use crate::studio::{Document, EXTENSION, Recoverable};
 use crate::surface::{Atlas, Occluder};
 
 /// Commands that may wait.
@@ -52,6 +52,8 @@ pub enum Source {
 pub enum Command {
     /// Open a capture or a solution.
     Open(Source),
+    /// Open what a crash left behind.
+    Recover(Arc<Recoverable>),
     /// Solve a capture.
     Solve {
         /// What to solve.
@@ -97,8 +99,8 @@ pub enum Event {
     },
     /// A project was opened.
     Project {
-        /// Its file.
-        path: PathBuf,
+        /// Its file; none if it was recovered after a crash.
+        path: Option<PathBuf>,
         /// The document.
         document: Box<Document>,
         /// What a user should know.
@@ -451,6 +453,23 @@ impl Worker {
         self.pictures.take()
     }
 
+    /// Does something short, such as writing a file, beside the running command. The window is woken when it ends.
+    pub fn aside(&mut self, name: &str, work: impl FnOnce() + Send + 'static) {
+        let wake = Arc::clone(&self.wake);
+        self.threads.retain(|thread| !thread.is_finished());
+        // Where no thread can be had, it is done at once, if need be at the window's cost.
+        let work = Arc::new(Mutex::new(Some(work)));
+        let shared = Arc::clone(&work);
+        let thread = Builder::new().name(name.to_owned()).spawn(move || {
+            run_once(&shared);
+            wake();
+        });
+        match thread {
+            Ok(thread) => self.threads.push(thread),
+            Err(_) => run_once(&work),
+        }
+    }
+
     /// Shows the system's file dialog; the answer comes as an event.
     pub fn pick(&self, purpose: Purpose, start: Option<&Path>) {
         let (events, wake) = (self.dialogs.clone(), Arc::clone(&self.wake));
@@ -484,6 +503,13 @@ impl Drop for Worker {
             // A thread that panicked has nothing more to say.
             let _ = thread.join();
         }
+    }
+}
+
+fn run_once(work: &Mutex<Option<impl FnOnce()>>) {
+    let work = work.lock().unwrap_or_else(PoisonError::into_inner).take();
+    if let Some(work) = work {
+        work();
     }
 }
 
@@ -528,6 +554,7 @@ impl Bench {
             }
             let what = match &job.command {
                 Command::Open(_) => "Opening".to_owned(),
+                Command::Recover(_) => "Recovering".to_owned(),
                 Command::Solve { .. } => "Solving".to_owned(),
                 Command::Task { what, .. } => what.clone(),
             };
@@ -559,6 +586,14 @@ impl Bench {
         let mut shown = Shown::new(self, job.number, &job.control);
         match job.command {
             Command::Open(source) => open(source),
+            Command::Recover(left) => {
+                let (document, warnings) = left.open()?;
+                Ok(Event::Project {
+                    path: None,
+                    document: Box::new(document),
+                    warnings,
+                })
+            }
             Command::Solve {
                 capture,
                 options,
@@ -591,7 +626,7 @@ fn open(source: Source) -> anyhow::Result<Event> {
             if path.extension().is_some_and(|e| e == EXTENSION) {
                 let (document, warnings) = Document::open(path)?;
                 return Ok(Event::Project {
-                    path: path.clone(),
+                    path: Some(path.clone()),
                     document: Box::new(document),
                     warnings,
                 });

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use eframe::egui;
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable as _;
-use rekindle::app::App;
+use rekindle::app::{App, Start};
 use rekindle::worker::Source;
 
 /// Longer than anything here takes on a slow machine.
@@ -19,7 +19,13 @@ type Window = Harness<'static, App>;
 fn window(open: Option<Source>) -> Window {
     Harness::builder()
         .with_size(egui::vec2(1280.0, 800.0))
-        .build_eframe(|cc| App::new(cc, open).expect("threads"))
+        .build_eframe(|cc| {
+            let start = Start {
+                open,
+                recovery: None,
+            };
+            App::new(cc, start).expect("threads")
+        })
 }
 
 fn capture(name: &str) -> PathBuf {

@@ -14,7 +14,7 @@ use super::{Request, Shared, theme};
 use crate::capture::Capture;
 use crate::estimate::{Method, SpecularModel};
 use crate::preflight::{Finding, Severity, Thumbnail};
-use crate::worker::OpenedCapture;
+use crate::worker::{OpenedCapture, Source};
 
 /// Narrowest thumbnail, points.
 const THUMBNAIL: f32 = 210.0;
@@ -47,6 +47,11 @@ impl CapturePage {
     /// The capture.
     pub fn capture(&self) -> &Arc<Capture> {
         &self.opened.capture
+    }
+
+    /// Whether it is the built-in one.
+    pub fn is_demo(&self) -> bool {
+        self.opened.source == Source::Demo
     }
 
     /// Seconds that loading it took.

@@ -13,6 +13,14 @@ pub enum Action {
     Demo,
     /// Go to the welcome page.
     Welcome,
+    /// Save the project.
+    Save,
+    /// Save the project under another name.
+    SaveAs,
+    /// Undo the last change.
+    Undo,
+    /// Do again what was undone.
+    Redo,
     /// Close the window.
     Quit,
     /// Start the estimation, or start it again.
@@ -41,6 +49,8 @@ pub enum Action {
     Darker,
     /// Exposure back to none.
     ResetExposure,
+    /// Show how often each brightness occurs.
+    Histogram,
     /// Dark or light theme.
     ToggleTheme,
     /// Larger text.
@@ -62,6 +72,8 @@ pub enum Action {
 pub enum Menu {
     /// Opening, saving, leaving.
     File,
+    /// Changing the light.
+    Edit,
     /// The estimation.
     Estimate,
     /// What is shown and how.
@@ -72,12 +84,19 @@ pub enum Menu {
 
 impl Menu {
     /// All menus in order.
-    pub const ALL: [Self; 4] = [Self::File, Self::Estimate, Self::View, Self::Help];
+    pub const ALL: [Self; 5] = [
+        Self::File,
+        Self::Edit,
+        Self::Estimate,
+        Self::View,
+        Self::Help,
+    ];
 
     /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Self::File => "File",
+            Self::Edit => "Edit",
             Self::Estimate => "Estimate",
             Self::View => "View",
             Self::Help => "Help",
@@ -153,6 +172,34 @@ pub const ENTRIES: &[Entry] = &[
         Menu::File,
         None,
         "Go to the page with recent files; what is open stays open",
+    ),
+    entry(
+        Action::SaveAs,
+        "Save project as…",
+        Menu::File,
+        Some((CTRL.plus(SHIFT), Key::S)),
+        "Save lamps and looks in another file",
+    ),
+    entry(
+        Action::Save,
+        "Save project",
+        Menu::File,
+        Some((CTRL, Key::S)),
+        "Save lamps and looks, and the solution beside them",
+    ),
+    entry(
+        Action::Redo,
+        "Redo",
+        Menu::Edit,
+        Some((CTRL.plus(SHIFT), Key::Z)),
+        "Do again what was undone; Ctrl+Y does the same",
+    ),
+    entry(
+        Action::Undo,
+        "Undo",
+        Menu::Edit,
+        Some((CTRL, Key::Z)),
+        "Undo the last change of the light",
     ),
     entry(
         Action::Quit,
@@ -253,6 +300,13 @@ pub const ENTRIES: &[Entry] = &[
         Menu::View,
         Some((NONE, Key::R)),
         "Back to no stops",
+    ),
+    entry(
+        Action::Histogram,
+        "Histogram",
+        Menu::View,
+        Some((NONE, Key::H)),
+        "Show how often each brightness occurs",
     ),
     entry(
         Action::ToggleTheme,

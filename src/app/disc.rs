@@ -161,6 +161,23 @@ pub fn show(
     (response, Disc { rect: rim, up })
 }
 
+/// Marks the direction that the surface under the pointer mirrors.
+pub fn mirror_mark(ui: &egui::Ui, disc: &Disc, mirrored: Option<Vec3>) {
+    let Some(at) = mirrored.and_then(|direction| disc.at(direction)) else {
+        return;
+    };
+    let accent = theme::palette(ui).accent;
+    let painter = ui.painter();
+    painter.circle_stroke(at, 5.0, Stroke::new(3.0, Color32::from_black_alpha(160)));
+    painter.circle_stroke(at, 5.0, Stroke::new(1.5, accent));
+    for offset in [vec2(9.0, 0.0), vec2(0.0, 9.0)] {
+        for side in [-1.0, 1.0] {
+            let ends = [at + side * 0.5 * offset, at + side * offset];
+            painter.line_segment(ends, Stroke::new(1.5, accent));
+        }
+    }
+}
+
 /// Says which direction the pointer is at.
 pub fn direction_tip(response: egui::Response, disc: &Disc) {
     let Some(pointer) = response.hover_pos() else {

@@ -10,7 +10,7 @@ use super::capture_page::estimation_ui;
 use super::commands::Action;
 use super::disc::{self, Disc, DiscTexture};
 use super::plots::{self, Marks};
-use super::viewport::Viewport;
+use super::viewport::{Object, Scene, Viewport};
 use super::{Request, Shared, theme};
 use crate::capture::Capture;
 use crate::estimate::{Brdf, Iteration};
@@ -78,7 +78,7 @@ impl Estimation {
     /// An estimation that was just started as command `job`.
     pub fn new(capture: Arc<Capture>, job: u64) -> Self {
         let up = capture.light_hemisphere.up.as_vec3();
-        let mut viewport = Viewport::new(&capture.mesh, up, &capture.views);
+        let mut viewport = Viewport::new(Object::Capture(Arc::clone(&capture)), up, Some(&capture));
         viewport.set_white(white(&capture));
         Self {
             job,
@@ -132,7 +132,7 @@ impl Estimation {
     }
 
     /// Takes a picture of the reference renderer.
-    pub fn rendered(&mut self, ctx: &egui::Context, rendered: Rendered) {
+    pub fn rendered(&mut self, ctx: &egui::Context, rendered: &Rendered) {
         self.viewport.rendered(ctx, rendered);
     }
 
@@ -328,6 +328,7 @@ impl Estimation {
                 if self.look == Look::Newest {
                     self.lamps_ui(ui, &disc);
                 }
+                disc::mirror_mark(ui, &disc, self.viewport.mirrored());
                 disc::direction_tip(response, &disc);
                 ui.label(RichText::new(name).small());
             });
@@ -553,8 +554,14 @@ impl Estimation {
             };
             Some((subject, lighting))
         };
-        self.viewport
-            .show(ui, shared.worker, shared.settings.habit, version, subject);
+        let scene = Scene {
+            worker: shared.worker,
+            habit: shared.settings.habit,
+            free: true,
+            version,
+            subject,
+        };
+        self.viewport.show(ui, scene);
     }
 }
 

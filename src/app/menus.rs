@@ -130,6 +130,7 @@ fn running_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
             let name = path.file_name().unwrap_or(path.as_os_str());
             format!("Opening {}", name.to_string_lossy())
         }
+        Doing::Recovering(_) => "Recovering".to_owned(),
         Doing::Solving if app.worker.is_paused() => "Paused".to_owned(),
         Doing::Solving => "Estimating".to_owned(),
     };

@@ -14,18 +14,19 @@ mod notices;
 mod open_path;
 mod palette;
 mod plots;
+mod projects;
 mod relight;
 mod settings;
 mod theme;
 mod viewport;
 mod welcome;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eframe::egui;
 
-use crate::studio::Document;
+use crate::studio::{Document, Recoverable, state_folder};
 use crate::worker::{Command, Event, OpenedCapture, Purpose, Source, Worker};
 use capture_page::CapturePage;
 use commands::{Action, ENTRIES};
@@ -34,6 +35,7 @@ use navigation::Habit;
 use notices::{Notices, Weight};
 use open_path::OpenPath;
 use palette::{Chosen, CommandPalette};
+use projects::{Answer, Projects, Then};
 use relight::Relighting;
 use settings::Settings;
 
@@ -52,10 +54,20 @@ enum Page {
 }
 
 /// What the worker is doing.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 enum Doing {
     Opening(Source),
+    Recovering(Arc<Recoverable>),
     Solving,
+}
+
+/// With what a window begins.
+#[derive(Clone, Debug, Default)]
+pub struct Start {
+    /// What to open.
+    pub open: Option<Source>,
+    /// Where unsaved work is kept from crashes; nowhere if there is no such folder.
+    pub recovery: Option<PathBuf>,
 }
 
 /// A command under way.
@@ -81,6 +93,8 @@ enum Request {
     Action(Action),
     Open(Source),
     Habit(Habit),
+    Recover(usize),
+    Discard(usize),
 }
 
 /// The window's state.
@@ -94,14 +108,19 @@ pub struct App {
     capture: Option<CapturePage>,
     estimation: Option<Estimation>,
     relighting: Option<Relighting>,
+    projects: Projects,
+    /// What to do after the file for saving was chosen and written.
+    save_then: Option<Then>,
+    /// Unsaved changes were given up: the window may close.
+    leaving: bool,
     palette: Option<CommandPalette>,
     keys: bool,
     open_path: Option<OpenPath>,
 }
 
 impl App {
-    /// A window on its welcome page, or opening `path`.
-    pub fn new(cc: &eframe::CreationContext<'_>, open: Option<Source>) -> std::io::Result<Self> {
+    /// A window on its welcome page, or opening something.
+    pub fn new(cc: &eframe::CreationContext<'_>, start: Start) -> std::io::Result<Self> {
         let settings: Settings = cc
             .storage
             .and_then(|storage| eframe::get_value(storage, SETTINGS))
@@ -122,25 +141,49 @@ impl App {
             capture: None,
             estimation: None,
             relighting: None,
+            projects: Projects::new(start.recovery),
+            save_then: None,
+            leaving: false,
             palette: None,
             keys: false,
             open_path: None,
         };
-        if let Some(source) = open {
+        if let Some(source) = start.open {
             app.open(source);
         }
         Ok(app)
     }
 
-    fn open(&mut self, source: Source) {
+    /// Whether there is work that would be lost.
+    fn has_unsaved_work(&self) -> bool {
+        let Some(document) = self.relighting.as_ref().map(Relighting::document) else {
+            return false;
+        };
+        // The demo is quickly estimated again: only what was done to it counts.
+        let demo = self.capture.as_ref().is_some_and(CapturePage::is_demo);
+        document.is_modified() && (!demo || document.undo_label().is_some())
+    }
+
+    fn has_edits(&self) -> bool {
+        let document = self.relighting.as_ref().map(Relighting::document);
+        document.is_some_and(|d| d.is_modified() && d.undo_label().is_some())
+    }
+
+    fn ask_to_open(&mut self, source: Source) {
         if let Some(job) = &self.job {
             let text = match job.doing {
                 Doing::Solving => "Stop the estimation first, or wait for its end.",
-                Doing::Opening(_) => "Something else is being opened; wait for its end.",
+                _ => "Something else is being opened; wait for its end.",
             };
             self.notices.add(Weight::Note, "One thing at a time", text);
-            return;
+        } else if self.has_unsaved_work() {
+            self.projects.ask(Then::Open(source));
+        } else {
+            self.open(source);
         }
+    }
+
+    fn open(&mut self, source: Source) {
         let doing = Doing::Opening(source.clone());
         self.start(Command::Open(source), doing);
     }
@@ -177,7 +220,7 @@ impl App {
         }
         while let Some((number, event)) = self.worker.event() {
             let ours = self.job.as_ref().is_some_and(|job| job.number == number);
-            let doing = if ours {
+            let doing: Option<Doing> = if ours {
                 self.job.take().map(|job| job.doing)
             } else {
                 None
@@ -189,12 +232,12 @@ impl App {
             match self.page {
                 Page::Estimation => {
                     if let Some(estimation) = &mut self.estimation {
-                        estimation.rendered(ctx, rendered);
+                        estimation.rendered(ctx, &rendered);
                     }
                 }
                 _ => {
                     if let Some(relighting) = &mut self.relighting {
-                        relighting.rendered(ctx, rendered);
+                        relighting.rendered(ctx, &rendered);
                     }
                 }
             }
@@ -217,12 +260,17 @@ impl App {
                 warnings,
             } => {
                 self.notices.clear_errors();
-                self.settings.remember(&path);
+                if let Some(path) = path {
+                    self.settings.remember(&path);
+                }
                 self.capture = None;
                 self.estimation = None;
                 for warning in warnings {
                     self.notices
                         .add(Weight::Note, "About this project", warning);
+                }
+                if let Some(Doing::Recovering(left)) = doing {
+                    self.projects.recovered(&mut self.worker, &document, left);
                 }
                 self.show_document(*document);
             }
@@ -242,7 +290,7 @@ impl App {
             Event::Done { what } => self.notices.add(Weight::Done, what, ""),
             Event::Stopped => {
                 if let Some(estimation) = &mut self.estimation
-                    && doing == Some(&Doing::Solving)
+                    && matches!(doing, Some(Doing::Solving))
                 {
                     estimation.stopped();
                     self.notices.add(
@@ -254,7 +302,7 @@ impl App {
             }
             Event::Failed { what, message } => {
                 if let Some(estimation) = &mut self.estimation
-                    && doing == Some(&Doing::Solving)
+                    && matches!(doing, Some(Doing::Solving))
                 {
                     estimation.stopped();
                 }
@@ -273,8 +321,12 @@ impl App {
     /// A path was chosen in a file dialog, or typed where there is none.
     fn picked(&mut self, purpose: Purpose, path: PathBuf) {
         match purpose {
-            Purpose::OpenFolder | Purpose::OpenFile => self.open(Source::Path(path)),
-            Purpose::SaveProject | Purpose::ExportFolder | Purpose::LightProbe => {}
+            Purpose::OpenFolder | Purpose::OpenFile => self.ask_to_open(Source::Path(path)),
+            Purpose::SaveProject => {
+                let then = self.save_then.take();
+                self.save_to(&path, then);
+            }
+            Purpose::ExportFolder | Purpose::LightProbe => {}
         }
     }
 
@@ -290,6 +342,7 @@ impl App {
     }
 
     fn show_document(&mut self, document: Document) {
+        self.projects.reset();
         let capture = self.capture.as_ref().map(|page| Arc::clone(page.capture()));
         self.relighting = Some(Relighting::new(document, capture.as_ref()));
         self.page = Page::Relighting;
@@ -300,10 +353,15 @@ impl App {
         let solving = self
             .job
             .as_ref()
-            .is_some_and(|job| job.doing == Doing::Solving);
+            .is_some_and(|job| matches!(job.doing, Doing::Solving));
         match action {
             Action::OpenFolder | Action::OpenFile | Action::Demo => self.job.is_none(),
             Action::Solve => self.capture.is_some() && self.job.is_none(),
+            Action::Save | Action::SaveAs => {
+                self.relighting.is_some() && !self.projects.is_saving()
+            }
+            Action::Undo => self.document().is_some_and(|d| d.undo_label().is_some()),
+            Action::Redo => self.document().is_some_and(|d| d.redo_label().is_some()),
             Action::Pause | Action::KeepBest => solving,
             Action::Stop => self.job.is_some(),
             Action::ShowCapture => self.capture.is_some(),
@@ -316,9 +374,18 @@ impl App {
             | Action::ResetView
             | Action::Brighter
             | Action::Darker
+            | Action::Histogram
             | Action::ResetExposure => self.viewport().is_some(),
             _ => true,
         }
+    }
+
+    /// The document, on the page where it is edited.
+    fn document(&self) -> Option<&Document> {
+        let relighting = self.relighting.as_ref();
+        relighting
+            .filter(|_| self.page == Page::Relighting)
+            .map(Relighting::document)
     }
 
     fn viewport(&self) -> Option<&viewport::Viewport> {
@@ -344,9 +411,13 @@ impl App {
         match action {
             Action::OpenFolder => self.pick(Purpose::OpenFolder),
             Action::OpenFile => self.pick(Purpose::OpenFile),
-            Action::Demo => self.open(Source::Demo),
+            Action::Demo => self.ask_to_open(Source::Demo),
+            Action::Save => self.save(None),
+            Action::SaveAs => self.pick(Purpose::SaveProject),
+            Action::Undo | Action::Redo => self.undo(action),
             Action::Welcome => self.page = Page::Welcome,
             Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
+            Action::Solve if self.has_edits() => self.projects.ask(Then::Solve),
             Action::Solve => self.solve(),
             Action::Pause => self.worker.pause(!self.worker.is_paused()),
             Action::Stop => {
@@ -381,6 +452,7 @@ impl App {
             | Action::Camera(_)
             | Action::Brighter
             | Action::Darker
+            | Action::Histogram
             | Action::ResetExposure => {
                 if let Some(viewport) = self.viewport_mut() {
                     viewport.act(action);
@@ -388,6 +460,95 @@ impl App {
             }
         }
         ctx.request_repaint();
+    }
+
+    fn undo(&mut self, action: Action) {
+        let Some(relighting) = &mut self.relighting else {
+            return;
+        };
+        let document = relighting.document_mut();
+        let (word, label) = if action == Action::Undo {
+            ("Undone", document.undo())
+        } else {
+            ("Done again", document.redo())
+        };
+        if let Some(label) = label {
+            self.notices
+                .add(Weight::Note, format!("{word}: {label}"), "");
+        }
+    }
+
+    /// Saves the project, after asking where if it has no file yet; then does `then`.
+    fn save(&mut self, then: Option<Then>) {
+        let document = self.relighting.as_ref().map(Relighting::document);
+        let path = document.and_then(|d| d.project().map(Path::to_owned));
+        if let Some(path) = path {
+            self.save_to(&path, then);
+        } else {
+            self.save_then = then;
+            self.pick(Purpose::SaveProject);
+        }
+    }
+
+    fn save_to(&mut self, path: &Path, then: Option<Then>) {
+        if let Some(relighting) = &self.relighting {
+            let document = relighting.document();
+            self.projects.save(&mut self.worker, document, path, then);
+        }
+    }
+
+    /// Takes in what came of saving; keeps what is unsaved.
+    fn look_after(&mut self, ctx: &egui::Context) {
+        if let Some((outcome, then)) = self.projects.outcome() {
+            match (outcome, &mut self.relighting) {
+                (Ok(saved), Some(relighting)) => {
+                    relighting.document_mut().saved(saved);
+                    if let Some(path) = relighting.document().project() {
+                        self.settings.remember(path);
+                        let text = path.display().to_string();
+                        self.notices.add(Weight::Done, "Saved", text);
+                    }
+                    if let Some(then) = then {
+                        self.go_on(ctx, then);
+                    }
+                }
+                (Ok(_), None) => {}
+                (Err(text), _) => self.notices.add(Weight::Error, "Saving failed", text),
+            }
+        }
+        if let Some(relighting) = &self.relighting {
+            let document = relighting.document();
+            if let Some(text) = self.projects.keep(ctx, &mut self.worker, document) {
+                self.notices
+                    .add(Weight::Error, "Unsaved work can't be kept", text);
+            }
+        }
+        if ctx.input(|i| i.viewport().close_requested()) && !self.leaving && self.has_unsaved_work()
+        {
+            ctx.send_viewport_cmd(egui::ViewportCommand::CancelClose);
+            self.projects.ask(Then::Quit);
+        }
+    }
+
+    fn go_on(&mut self, ctx: &egui::Context, then: Then) {
+        match then {
+            Then::Quit => {
+                self.leaving = true;
+                self.projects.forget();
+                ctx.send_viewport_cmd(egui::ViewportCommand::Close);
+            }
+            Then::Open(source) => self.open(source),
+            Then::Solve => self.solve(),
+        }
+    }
+
+    fn recover(&mut self, index: usize) {
+        if self.job.is_none()
+            && let Some(left) = self.projects.left_behind().get(index).cloned()
+        {
+            let doing = Doing::Recovering(Arc::clone(&left));
+            self.start(Command::Recover(left), doing);
+        }
     }
 
     fn pick(&mut self, purpose: Purpose) {
@@ -402,11 +563,16 @@ impl App {
         }
         let typing = ctx.text_edit_focused();
         let any_popup = egui::Popup::is_any_open(ctx);
-        let again = egui::KeyboardShortcut::new(egui::Modifiers::COMMAND, egui::Key::K);
+        let also = [
+            (egui::Key::K, Action::Palette),
+            (egui::Key::Y, Action::Redo),
+        ];
         let mut actions = Vec::new();
         ctx.input_mut(|input| {
-            if input.consume_shortcut(&again) {
-                actions.push(Action::Palette);
+            for (key, action) in also {
+                if input.consume_key(egui::Modifiers::COMMAND, key) {
+                    actions.push(action);
+                }
             }
             for entry in ENTRIES {
                 let Some(keys) = entry.keys else { continue };
@@ -435,7 +601,7 @@ impl App {
             file.map(|file| file.path().to_owned())
         });
         if let Some(path) = dropped {
-            self.open(Source::Path(path));
+            self.ask_to_open(Source::Path(path));
         }
     }
 
@@ -466,9 +632,10 @@ impl App {
             Page::Welcome => {
                 let opening = self.job.as_ref().and_then(|job| match &job.doing {
                     Doing::Opening(source) => Some(source),
-                    Doing::Solving => None,
+                    _ => None,
                 });
-                welcome::show(ui, &mut shared, self.welcome.as_ref(), opening);
+                let left = self.projects.left_behind();
+                welcome::show(ui, &mut shared, self.welcome.as_ref(), opening, left);
             }
         }
         actions
@@ -492,6 +659,15 @@ impl App {
                 open_path::Answer::Path(path) => self.picked(open_path.purpose(), path),
             }
         }
+        let name = self
+            .relighting
+            .as_ref()
+            .map_or_else(String::new, |r| r.document().name());
+        match self.projects.show(ctx, &name) {
+            Some(Answer::Save(then)) => self.save(Some(then)),
+            Some(Answer::Discard(then)) => self.go_on(ctx, then),
+            Some(Answer::Cancel) | None => {}
+        }
         self.notices.show(ctx);
     }
 }
@@ -511,6 +687,7 @@ impl eframe::App for App {
 
     fn ui(&mut self, ui: &mut egui::Ui, _: &mut eframe::Frame) {
         let ctx = ui.ctx().clone();
+        self.look_after(&ctx);
         self.read_keys(&ctx);
         self.read_drops(&ctx);
         let mut given = menus::show(ui, self);
@@ -518,7 +695,9 @@ impl eframe::App for App {
         for request in given {
             match request {
                 Request::Action(action) => self.act(&ctx, action),
-                Request::Open(source) => self.open(source),
+                Request::Open(source) => self.ask_to_open(source),
+                Request::Recover(index) => self.recover(index),
+                Request::Discard(index) => self.projects.discard(index),
                 Request::Habit(habit) => self.settings.habit = habit,
             }
         }
@@ -546,9 +725,13 @@ pub fn run(open: Option<Source>) -> eframe::Result {
         viewport,
         ..eframe::NativeOptions::default()
     };
+    let start = Start {
+        open,
+        recovery: state_folder(),
+    };
     eframe::run_native(
         "rekindle",
         options,
-        Box::new(|cc| Ok(Box::new(App::new(cc, open)?))),
+        Box::new(|cc| Ok(Box::new(App::new(cc, start)?))),
     )
 }

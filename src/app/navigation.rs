@@ -49,16 +49,19 @@ impl Habit {
                 ("Drag, right drag", "Turn"),
                 ("Middle drag, Shift+drag", "Pan"),
                 ("Wheel, pinch", "Zoom"),
+                ("Double click", "Turn about this point"),
             ],
             Self::Blender => &[
                 ("Middle drag", "Turn"),
                 ("Shift+middle drag", "Pan"),
                 ("Ctrl+middle drag, wheel", "Zoom"),
+                ("Double click", "Turn about this point"),
             ],
             Self::Maya => &[
                 ("Alt+drag", "Turn"),
                 ("Alt+middle drag", "Pan"),
                 ("Alt+right drag, wheel", "Zoom"),
+                ("Double click", "Turn about this point"),
             ],
         }
     }
@@ -208,6 +211,16 @@ impl Navigation {
     /// Back to the first viewpoint.
     pub fn reset(&mut self) {
         self.goal = self.first;
+    }
+
+    /// The point that the view turns about.
+    pub fn target(&self) -> DVec3 {
+        self.now.target
+    }
+
+    /// Turns about this point from now on.
+    pub fn look_at(&mut self, point: DVec3) {
+        self.goal.target = point;
     }
 
     /// Takes in the mouse over the viewport; `free` where the left button has nothing else to do. Whether the view moves.

@@ -119,7 +119,7 @@ pub fn key_sheet(ctx: &egui::Context, gestures: &[(&str, &str)]) -> bool {
         ScrollArea::vertical().max_height(height).show(ui, |ui| {
             ui.columns(2, |columns| {
                 for (column, menus) in [
-                    (0, [Menu::File, Menu::Estimate].as_slice()),
+                    (0, [Menu::File, Menu::Edit, Menu::Estimate].as_slice()),
                     (1, [Menu::View, Menu::Help].as_slice()),
                 ] {
                     for &menu in menus {

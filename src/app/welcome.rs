@@ -2,8 +2,11 @@
 
 use eframe::egui::{self, Align2, Color32, CornerRadius, RichText, Stroke, StrokeKind, vec2};
 
+use std::sync::Arc;
+
 use super::commands::{Action, entry_of};
 use super::{Request, Shared, Source, theme};
+use crate::studio::Recoverable;
 
 /// The demo, relit, before nothing.
 const PICTURE: &[u8] = include_bytes!("../../assets/app/welcome.png");
@@ -24,6 +27,7 @@ pub(super) fn show(
     shared: &mut Shared<'_>,
     shown: Option<&egui::TextureHandle>,
     opening: Option<&Source>,
+    kept: &[Arc<Recoverable>],
 ) {
     let hovering = ui.input(|i| !i.raw.hovered_files.is_empty());
     egui::CentralPanel::default().show(ui, |ui| {
@@ -42,6 +46,7 @@ pub(super) fn show(
             vec2(column, room.bottom() - top - 16.0),
         );
         ui.scope_builder(egui::UiBuilder::new().max_rect(rect), |ui| {
+            left_behind_ui(ui, shared, kept, opening.is_none());
             begin_ui(ui, shared, opening);
         });
         if let Some(shown) = shown.filter(|_| wide) {
@@ -73,6 +78,47 @@ pub(super) fn show(
             );
         }
     });
+}
+
+/// What a crash left behind.
+fn left_behind_ui(
+    ui: &mut egui::Ui,
+    shared: &mut Shared<'_>,
+    left: &[Arc<Recoverable>],
+    enabled: bool,
+) {
+    for (i, work) in left.iter().enumerate().take(3) {
+        theme::card(ui).show(ui, |ui| {
+            ui.set_width(ui.available_width());
+            let minutes = work
+                .kept
+                .elapsed()
+                .map_or(0, |elapsed| elapsed.as_secs() / 60);
+            let when = match minutes {
+                0 => "just now".to_owned(),
+                1..=90 => format!("{minutes} min ago"),
+                _ => format!("{} h ago", minutes / 60),
+            };
+            ui.label(RichText::new("Unsaved work was left behind").strong());
+            ui.weak(format!(
+                "Kept {when}, before the program ended unexpectedly."
+            ));
+            ui.add_enabled_ui(enabled, |ui| {
+                ui.horizontal(|ui| {
+                    let recover = ui.add(theme::main_button(ui, "Recover"));
+                    let tip = "Open it as it was kept";
+                    if recover.on_hover_text(tip).clicked() {
+                        shared.actions.push(Request::Recover(i));
+                    }
+                    let discard = ui.button("Discard");
+                    if discard.on_hover_text("Remove it for good").clicked() {
+                        shared.actions.push(Request::Discard(i));
+                    }
+                });
+            });
+        });
+        ui.add_space(theme::GAP);
+    }
 }
 
 fn begin_ui(ui: &mut egui::Ui, shared: &mut Shared<'_>, opening: Option<&Source>) {

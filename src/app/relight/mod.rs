@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use eframe::egui;
 
-use super::viewport::Viewport;
+use super::viewport::{Object, Scene, Viewport};
 use super::{Shared, theme};
 use crate::capture::Capture;
 use crate::studio::Document;
@@ -20,10 +20,24 @@ impl Relighting {
     /// Shows a document; `capture` is what it was solved from, if that is open.
     pub fn new(document: Document, capture: Option<&Arc<Capture>>) -> Self {
         let solution = document.solution();
-        let views = capture.map_or(&[][..], |capture| &capture.views);
-        let mut viewport = Viewport::new(&solution.mesh, solution.grid.up, views);
+        let mut viewport = Viewport::new(
+            Object::Solution(Arc::clone(solution)),
+            solution.grid.up,
+            capture,
+        );
+        viewport.allow_comparison();
         viewport.set_white(solution.white());
         Self { document, viewport }
+    }
+
+    /// The document.
+    pub fn document(&self) -> &Document {
+        &self.document
+    }
+
+    /// The document.
+    pub fn document_mut(&mut self) -> &mut Document {
+        &mut self.document
     }
 
     /// The view of the object.
@@ -37,7 +51,7 @@ impl Relighting {
     }
 
     /// Takes a picture of the reference renderer.
-    pub fn rendered(&mut self, ctx: &egui::Context, rendered: Rendered) {
+    pub fn rendered(&mut self, ctx: &egui::Context, rendered: &Rendered) {
         self.viewport.rendered(ctx, rendered);
     }
 
@@ -57,12 +71,18 @@ impl Relighting {
         egui::CentralPanel::default()
             .frame(theme::stage())
             .show(ui, |ui| {
-                let (document, habit) = (&self.document, shared.settings.habit);
-                let revision = document.revision();
-                self.viewport.show(ui, shared.worker, habit, revision, || {
-                    let subject = Subject::Solved(Arc::clone(document.solution()));
-                    Some((subject, document.light().lighting))
-                });
+                let document = &self.document;
+                let scene = Scene {
+                    worker: shared.worker,
+                    habit: shared.settings.habit,
+                    free: true,
+                    version: document.revision(),
+                    subject: || {
+                        let subject = Subject::Solved(Arc::clone(document.solution()));
+                        Some((subject, document.light().lighting))
+                    },
+                };
+                self.viewport.show(ui, scene);
             });
     }
 }
