@@ -45,7 +45,7 @@ fn wait(window: &mut Window, what: &str, there: impl Fn(&Window) -> bool) {
 }
 
 fn wait_for(window: &mut Window, label: &str) {
-    wait(window, label, |w| w.query_by_label(label).is_some());
+    wait(window, label, |w| has(w, label));
 }
 
 fn wait_for_part(window: &mut Window, part: &str) {
