@@ -11,6 +11,7 @@ pub mod hemisphere;
 pub mod math;
 pub mod preflight;
 pub mod relight;
+pub mod render;
 pub mod solution;
 pub mod studio;
 pub mod surface;

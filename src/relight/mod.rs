@@ -20,6 +20,7 @@ pub use diffuse::{DiffuseTexture, ViewFit, reconstruct, srgb};
 pub use edits::{Edit, EditError, apply, load};
 pub use environment::LatLong;
 pub use interreflection::{Field, Interreflection, Relit};
+pub use irradiance::texel_irradiance;
 pub use lighting::{LampNodes, LightNode, Lighting};
 pub use reflection::Surroundings;
 pub use render::{Band, Diffuse, Picture, Scene, Stop, render, render_bands};

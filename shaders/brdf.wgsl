@@ -1,0 +1,116 @@
+// The specular lobe and the diffuse transmittance: the twin of `estimate/model.rs`, equations 3 and 4.
+//
+// A lobe here may stand for several nodes of light: `spread` is their angular variance about the mean direction, per
+// axis, radians². The half vector turns by half of the light's turn in the plane of incidence and by 1/(2 l·h) of it
+// across, so the Gaussian widens by a quarter of the spread in one direction and by spread/(2 l·h)² in the other.
+
+const PAPER: u32 = 0u;
+const NO_LOBE: u32 = 2u;
+const MIN_COS_VIEW: f32 = 1e-3;
+const REFRACTIVE_INDEX: f32 = 1.5;
+const NORMAL_FRESNEL: f32 = 0.04;
+/// Exponent beyond which a lobe is nothing: 1e-5 of its peak.
+const CUT_EXPONENT: f32 = 11.5;
+
+struct Brdf {
+    /// 0: the paper's lobe, 1: microfacet, 2: no specular part.
+    model: u32,
+    sigma: f32,
+}
+
+/// What depends on normal and view only.
+struct ViewTerms {
+    normal: vec3f,
+    view: vec3f,
+    cos_view: f32,
+    /// Masking towards the viewer over cos θ_r.
+    scale: f32,
+}
+
+/// Unpolarised Fresnel reflectance (Walter et al. 2007, eq. 22).
+fn fresnel(c: f32) -> f32 {
+    let g = sqrt(REFRACTIVE_INDEX * REFRACTIVE_INDEX - 1.0 + c * c);
+    let a = (g - c) / (g + c);
+    let b = (c * (g + c) - 1.0) / (c * (g - c) + 1.0);
+    return 0.5 * a * a * (1.0 + b * b);
+}
+
+/// Smith's masking for Beckmann slopes of width √2 σ.
+fn masking(c: f32, sigma: f32) -> f32 {
+    let tangent = sqrt(max(1.0 - c * c, 0.0)) / c;
+    let a = 1.0 / max(1.414213562 * sigma * tangent, 1e-6);
+    let value = a * (3.535 + 2.181 * a) / (1.0 + a * (2.276 + 2.577 * a));
+    return select(1.0, value, a < 1.6);
+}
+
+/// acos(c)² for c in [0, 1] (Abramowitz and Stegun, 4.4.46).
+fn squared_arccos(c: f32) -> f32 {
+    var p = -0.0012624911;
+    p = p * c + 0.00667009;
+    p = p * c - 0.017088126;
+    p = p * c + 0.03089188;
+    p = p * c - 0.050174303;
+    p = p * c + 0.08897899;
+    p = p * c - 0.2145988;
+    p = p * c + 1.5707963;
+    return (1.0 - c) * p * p;
+}
+
+/// How much of diffusely reflected light passes the surface at a cosine, against normal incidence.
+fn diffuse_transmittance(brdf: Brdf, cosine: f32) -> f32 {
+    if (brdf.model != 1u) {
+        return 1.0;
+    }
+    return (1.0 - fresnel(clamp(cosine, 1e-3, 1.0))) / (1.0 - NORMAL_FRESNEL);
+}
+
+fn view_terms(brdf: Brdf, normal: vec3f, view: vec3f) -> ViewTerms {
+    let cos_view = max(dot(normal, view), MIN_COS_VIEW);
+    var mask = 1.0;
+    if (brdf.model == 1u) {
+        mask = masking(cos_view, brdf.sigma);
+    }
+    return ViewTerms(normal, view, cos_view, mask / cos_view);
+}
+
+/// The lobe for light from `light` (unit) that is spread about it.
+fn lobe(brdf: Brdf, terms: ViewTerms, light: vec3f, spread: f32) -> f32 {
+    let cos_light = dot(terms.normal, light);
+    if (cos_light <= 0.0) {
+        return 0.0;
+    }
+    let sum = light + terms.view;
+    let inverse_length = inverseSqrt(max(dot(sum, sum), 1e-12));
+    let half_vector = sum * inverse_length;
+    let cos_half = clamp(dot(terms.normal, half_vector), 1e-3, 1.0);
+    let cos_between = max(0.5 / inverse_length, 0.05);
+    let variance = brdf.sigma * brdf.sigma;
+    // The normal's offset from the half vector, split along the plane of incidence and across.
+    let along = light - terms.view;
+    let along_squared = dot(along, along);
+    let offset = terms.normal - half_vector * cos_half;
+    let offset_squared = dot(offset, offset);
+    let projected = dot(offset, along);
+    // Seen along the light there is no plane of incidence, and both widths are the same.
+    let share = select(0.5, projected * projected / max(along_squared * offset_squared, 1e-20),
+        along_squared * offset_squared > 1e-14);
+    let width_along = variance + 0.25 * spread;
+    let width_across = variance + 0.25 * spread / (cos_between * cos_between);
+    var squared: f32;
+    let cos_squared = cos_half * cos_half;
+    if (brdf.model == PAPER) {
+        squared = squared_arccos(cos_half);
+    } else {
+        squared = (1.0 - cos_squared) / cos_squared;
+    }
+    let exponent = 0.5 * squared * (share / width_along + (1.0 - share) / width_across);
+    if (exponent > CUT_EXPONENT) {
+        return 0.0;
+    }
+    let gauss = terms.scale * exp(-exponent) * variance * inverseSqrt(width_along * width_across);
+    if (brdf.model == PAPER) {
+        return gauss;
+    }
+    return gauss * fresnel(0.5 / inverse_length) / NORMAL_FRESNEL * masking(max(cos_light, 1e-4), brdf.sigma)
+        / (cos_squared * cos_squared);
+}

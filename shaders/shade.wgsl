@@ -1,0 +1,323 @@
+// Every visible point shaded: diffuse texture or pseudo-albedo × irradiance (eq. 18), plus the lobes of the light (eq. 7).
+//
+// Irradiance and visibility of lamps are baked in texture space; light that isn't baked yet is added here from its lobes,
+// with shadow maps.
+
+#import frame.wgsl
+#import fullscreen.wgsl
+#import surface.wgsl
+
+struct Lobe {
+    /// Unit direction, or position relative to the centre where it is near.
+    place: vec3f,
+    /// Angular variance of the nodes it stands for, per axis, seen from the centre; radians².
+    spread: f32,
+    flux: vec3f,
+    /// Bits 0–7: index; 8–9: what hides it (0 nothing, 1 visibility texture, 2 the vertices, 3 shadow map);
+    /// 16: adds irradiance; 17: near.
+    bits: u32,
+}
+
+struct ShadowMap {
+    /// World (relative to the centre) to clip.
+    clip_from_world: mat4x4f,
+    /// Unit direction or position of the lamp's middle.
+    place: vec3f,
+    /// Tangent of the lamp's angular radius; its radius in mesh units where it is near.
+    softness: f32,
+    /// Depth range, near lamps only.
+    near_plane: f32,
+    far_plane: f32,
+    /// Tangent of half the field of view; 0 for distant lamps.
+    half_tangent: f32,
+    /// Size of a texel on the surface.
+    texel: f32,
+}
+
+const MAX_SHADOW_MAPS: u32 = 4u;
+
+struct ShadowMaps {
+    maps: array<ShadowMap, 4>,
+}
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(2) @binding(0) var linear_sampler: sampler;
+@group(2) @binding(1) var diffuse_texture: texture_2d<f32>;
+@group(2) @binding(2) var albedo_texture: texture_2d<f32>;
+@group(2) @binding(3) var irradiance_texture: texture_2d<f32>;
+@group(2) @binding(4) var visibility_texture: texture_2d_array<f32>;
+@group(2) @binding(5) var shadow_texture: texture_depth_2d_array;
+@group(2) @binding(6) var<storage, read> lobes: array<Lobe>;
+@group(2) @binding(7) var<storage, read> soft_visibility: array<u32>;
+@group(2) @binding(8) var<uniform> shadows: ShadowMaps;
+@group(3) @binding(0) var visible: texture_2d<u32>;
+@group(3) @binding(1) var coverage: texture_2d<f32>;
+
+const TAPS: u32 = 12u;
+
+/// Points of a golden spiral in the unit disc.
+fn spiral(i: u32) -> vec2f {
+    let angle = f32(i) * 2.3999632;
+    return sqrt((f32(i) + 0.5) / f32(TAPS)) * vec2f(cos(angle), sin(angle));
+}
+
+/// Depth of the nearest surface at a place of a shadow map: 0 near the lamp, 1 far.
+fn shadow_depth(map: u32, uv: vec2f) -> f32 {
+    let size = vec2f(textureDimensions(shadow_texture));
+    let texel = clamp(vec2i(uv * size), vec2i(0), vec2i(size) - 1);
+    return textureLoad(shadow_texture, texel, map, 0);
+}
+
+/// Distance from the lamp, at a depth of the map of a near one.
+fn distance_at(lamp: ShadowMap, depth: f32) -> f32 {
+    return lamp.near_plane * lamp.far_plane / (lamp.far_plane - depth * (lamp.far_plane - lamp.near_plane));
+}
+
+/// Half width, in parts of the map, over which a shadow's edge spreads at the depth `here` if it is cast at `there`.
+fn penumbra(lamp: ShadowMap, here: f32, there: f32) -> f32 {
+    if (lamp.half_tangent == 0.0) {
+        return lamp.softness * (here - there);
+    }
+    let receiver = distance_at(lamp, here);
+    let blocker = max(distance_at(lamp, there), lamp.near_plane);
+    return lamp.softness * (receiver - blocker) / blocker / (2.0 * receiver * lamp.half_tangent);
+}
+
+/// Part of a lamp that a point sees, by its shadow map: the edge's width follows from the distance between what casts the
+/// shadow and the point (Fernando 2005).
+fn shadow_map_visibility(map: u32, position: vec3f, face_normal: vec3f) -> f32 {
+    let lamp = shadows.maps[map];
+    let lifted = position + face_normal * (1.5 * lamp.texel);
+    let clip = lamp.clip_from_world * vec4f(lifted, 1.0);
+    let ndc = clip.xyz / clip.w;
+    let uv = ndc.xy * vec2f(0.5, -0.5) + 0.5;
+    let texel = 1.0 / f32(textureDimensions(shadow_texture).x);
+    var blockers = 0.0;
+    var depths = 0.0;
+    let search = clamp(penumbra(lamp, ndc.z, 0.0) * 0.5, texel, 0.05);
+    for (var i = 0u; i < TAPS; i++) {
+        let depth = shadow_depth(map, uv + spiral(i) * search);
+        if (depth < ndc.z) {
+            blockers += 1.0;
+            depths += depth;
+        }
+    }
+    if (blockers == 0.0) {
+        return 1.0;
+    }
+    let radius = clamp(penumbra(lamp, ndc.z, depths / blockers), 0.7 * texel, 0.05);
+    var clear = 0.0;
+    for (var i = 0u; i < TAPS; i++) {
+        clear += select(0.0, 1.0, shadow_depth(map, uv + spiral(i) * radius) >= ndc.z);
+    }
+    return clear / f32(TAPS);
+}
+
+struct Shade {
+    specular: vec3f,
+    irradiance: vec3f,
+}
+
+/// A visible point.
+struct Surface {
+    position: vec3f,
+    normal: vec3f,
+    face_normal: vec3f,
+    uv: vec2f,
+    light_uv: vec2f,
+}
+
+/// The visible point that a pixel of `visible` holds.
+fn surface_at(triangle: Triangle, weights: vec3f) -> Surface {
+    let a = vertices[triangle.corners.x];
+    let b = vertices[triangle.corners.y];
+    let c = vertices[triangle.corners.z];
+    let position = a.position * weights.x + b.position * weights.y + c.position * weights.z;
+    let sum = a.normal * weights.x + b.normal * weights.y + c.normal * weights.z;
+    let across = cross(b.position - a.position, c.position - a.position);
+    let area = length(across);
+    var face_normal = across / max(area, 1e-30);
+    let normal = select(face_normal, sum * inverseSqrt(max(dot(sum, sum), 1e-30)), dot(sum, sum) > 1e-12);
+    face_normal = select(normal, face_normal, area > 1e-30);
+    let uv = triangle.uv_a.xy * weights.x + triangle.uv_a.zw * weights.y + triangle.uv_b.xy * weights.z;
+    let light_uv = triangle.uv_b.zw * weights.x + triangle.uv_c.xy * weights.y + triangle.uv_c.zw * weights.z;
+    return Surface(position, normal, face_normal, uv, light_uv);
+}
+
+/// Visibilities of this frame's groups at a point, from its triangle's corners.
+fn soft_at(triangle: Triangle, weights: vec3f) -> array<vec4f, 6> {
+    var soft: array<vec4f, 6>;
+    if (frame.row_words == 0u) {
+        return soft;
+    }
+    let rows = triangle.corners * frame.row_words + frame.first_word;
+    for (var i = 0u; i < 6u; i++) {
+        soft[i] = unpack4x8unorm(soft_visibility[rows.x + i]) * weights.x
+            + unpack4x8unorm(soft_visibility[rows.y + i]) * weights.y
+            + unpack4x8unorm(soft_visibility[rows.z + i]) * weights.z;
+    }
+    return soft;
+}
+
+/// What the point in work sees of lamps, of groups and of lamps with shadow maps.
+var<private> lamp_words: array<vec4f, 8>;
+var<private> soft: array<vec4f, 6>;
+var<private> mapped: vec4f;
+
+fn add_lobes(surface: Surface, terms: ViewTerms, range: vec2u, weight: f32) -> Shade {
+    let brdf = frame_brdf(frame);
+    var sum = Shade(vec3f(0.0), vec3f(0.0));
+    for (var i = range.x; i < range.y; i++) {
+        let light = lobes[i];
+        let index = light.bits & 0xffu;
+        let kind = (light.bits >> 8u) & 3u;
+        var l = light.place;
+        var falloff = 1.0;
+        if ((light.bits & 0x20000u) != 0u) {
+            let offset = light.place - surface.position;
+            let squared_radius = dot(light.place, light.place);
+            let squared = max(dot(offset, offset), 0.01 * squared_radius);
+            l = offset * inverseSqrt(squared);
+            falloff = squared_radius / squared;
+        }
+        let cos_light = dot(l, surface.normal);
+        if (cos_light <= 0.0 || dot(l, surface.face_normal) <= 0.0) {
+            continue;
+        }
+        let live = (light.bits & 0x10000u) != 0u;
+        var value = 0.0;
+        if (brdf.model != NO_LOBE) {
+            value = lobe(brdf, terms, l, light.spread * falloff);
+        }
+        if (value == 0.0 && !live) {
+            continue;
+        }
+        var seen = 1.0;
+        if (kind == 1u) {
+            seen = lamp_words[index / 4u][index % 4u];
+        } else if (kind == 2u) {
+            seen = soft[index / 4u][index % 4u];
+        } else if (kind == 3u) {
+            seen = mapped[index];
+        }
+        let arriving = light.flux * (falloff * weight * seen);
+        sum.specular += arriving * value;
+        if (live) {
+            sum.irradiance += arriving * (cos_light * diffuse_transmittance(brdf, cos_light) * frame.irradiance_scale);
+        }
+    }
+    return sum;
+}
+
+/// Reads the visibilities of a place in the visibility texture: four lamps to a layer.
+fn read_lamps(light_uv: vec2f) {
+    for (var layer = 0u; layer < min(textureNumLayers(visibility_texture), 8u); layer++) {
+        lamp_words[layer] = textureSampleLevel(visibility_texture, linear_sampler, light_uv, layer, 0.0);
+    }
+}
+
+const BEAUTY: u32 = 0u;
+const DIFFUSE: u32 = 1u;
+const SPECULAR: u32 = 2u;
+const ALBEDO: u32 = 3u;
+const IRRADIANCE: u32 = 4u;
+const NORMALS: u32 = 5u;
+const SHADOW: u32 = 6u;
+const CONFIDENCE: u32 = 7u;
+const STORED: u32 = 1u;
+const COVERAGE: u32 = 2u;
+const LARGEST: f32 = 6e4;
+
+/// What a lamp's shadow mode shows.
+fn shown_visibility() -> f32 {
+    let at = frame.shown_lamp;
+    if (at >= 256u + MAX_SHADOW_MAPS) {
+        return 1.0;
+    }
+    if (at >= 256u) {
+        return mapped[at - 256u];
+    }
+    return lamp_words[at / 4u][at % 4u];
+}
+
+/// The picture's value at a visible point.
+fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
+    let surface = surface_at(triangle, weights);
+    if (frame.mode == NORMALS) {
+        return surface.normal * 0.5 + 0.5;
+    }
+    let stored = textureSampleLevel(diffuse_texture, linear_sampler, surface.uv, 0.0);
+    if (frame.mode == CONFIDENCE) {
+        return vec3f(stored.a);
+    }
+    let albedo = textureSampleLevel(albedo_texture, linear_sampler, surface.uv, 0.0).rgb;
+    if (frame.mode == ALBEDO) {
+        return albedo * frame.shown_albedo;
+    }
+    read_lamps(surface.light_uv);
+    mapped = vec4f(1.0);
+    for (var i = 0u; i < MAX_SHADOW_MAPS; i++) {
+        if ((frame.flags & (16u << i)) != 0u) {
+            let lamp = shadows.maps[i];
+            let towards = select(lamp.place, lamp.place - surface.position, lamp.half_tangent > 0.0);
+            if (dot(towards, surface.face_normal) > 0.0) {
+                mapped[i] = shadow_map_visibility(i, surface.position, surface.face_normal);
+            }
+        }
+    }
+    if (frame.mode == SHADOW) {
+        return vec3f(shown_visibility());
+    }
+    let brdf = frame_brdf(frame);
+    let view = normalize(eye_of(frame) - surface.position);
+    let terms = view_terms(brdf, surface.normal, view);
+    soft = soft_at(triangle, weights);
+    var sum = add_lobes(surface, terms, frame.always, 1.0);
+    if (frame.window.y > frame.window.x) {
+        let more = add_lobes(surface, terms, frame.window, frame.window_weight);
+        sum.specular += more.specular;
+        sum.irradiance += more.irradiance;
+    }
+    let baked = textureSampleLevel(irradiance_texture, linear_sampler, surface.light_uv, 0.0).rgb;
+    let irradiance = baked + sum.irradiance + frame.ambient;
+    if (frame.mode == IRRADIANCE) {
+        return min(irradiance, vec3f(LARGEST));
+    }
+    let through = diffuse_transmittance(brdf, dot(surface.normal, view));
+    let diffuse = select(albedo * irradiance, stored.rgb, (frame.flags & STORED) != 0u) * through;
+    var radiance = diffuse + sum.specular;
+    if (frame.mode == DIFFUSE) {
+        radiance = diffuse;
+    } else if (frame.mode == SPECULAR) {
+        radiance = sum.specular;
+    }
+    return min(radiance, vec3f(LARGEST));
+}
+
+/// The neighbours of a pixel, the nearest first.
+const AROUND: array<vec2i, 9> = array<vec2i, 9>(vec2i(0, 0), vec2i(1, 0), vec2i(-1, 0), vec2i(0, 1), vec2i(0, -1),
+    vec2i(1, 1), vec2i(-1, 1), vec2i(1, -1), vec2i(-1, -1));
+
+@fragment
+fn shade_fragment(@builtin(position) at: vec4f) -> @location(0) vec4f {
+    let pixel = vec2i(at.xy);
+    var seen = textureLoad(visible, pixel, 0).xy;
+    var covered = 1.0;
+    if ((frame.flags & COVERAGE) != 0u) {
+        covered = textureLoad(coverage, pixel, 0).x;
+        if (covered == 0.0) {
+            return vec4f(0.0);
+        }
+        // At a silhouette the pixel's centre may miss what some of its samples meet.
+        var around = AROUND;
+        let last = vec2i(textureDimensions(visible)) - 1;
+        for (var i = 1u; i < 9u && seen.x == 0u; i++) {
+            seen = textureLoad(visible, clamp(pixel + around[i], vec2i(0), last), 0).xy;
+        }
+    }
+    if (seen.x == 0u) {
+        return vec4f(0.0);
+    }
+    let b = unpack2x16unorm(seen.y);
+    return vec4f(shade(triangles[seen.x - 1u], vec3f(1.0 - b.x - b.y, b)), 1.0) * covered;
+}

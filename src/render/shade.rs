@@ -1,0 +1,163 @@
+//! The pass that shades what is visible: `shade.wgsl`.
+
+use super::error::RenderError;
+use super::frame::{GpuShadowMap, LINEAR};
+use super::gpu::Gpu;
+use super::shader;
+use super::shadow::MAX_SHADOW_MAPS;
+use super::surface::SurfaceBuffers;
+
+/// Size of the buffer of all shadow maps.
+pub(super) const SHADOWS_SIZE: u64 = (MAX_SHADOW_MAPS * size_of::<GpuShadowMap>()) as u64;
+
+/// The pipeline.
+pub(super) struct ShadePass {
+    scene_layout: wgpu::BindGroupLayout,
+    pixel_layout: wgpu::BindGroupLayout,
+    pipeline: wgpu::RenderPipeline,
+    sampler: wgpu::Sampler,
+}
+
+/// What the shader reads besides the frame.
+pub(super) struct SceneBindings<'a> {
+    pub surface: &'a SurfaceBuffers,
+    pub irradiance: &'a wgpu::TextureView,
+    pub visibility: &'a wgpu::TextureView,
+    pub shadow_maps: &'a wgpu::TextureView,
+    pub lobes: &'a wgpu::Buffer,
+    pub soft: &'a wgpu::Buffer,
+    pub shadows: &'a wgpu::Buffer,
+}
+
+impl ShadePass {
+    pub(super) fn new(
+        gpu: &Gpu,
+        frame_layout: &wgpu::BindGroupLayout,
+        surface_layout: &wgpu::BindGroupLayout,
+    ) -> Result<Self, RenderError> {
+        let module = shader::module(gpu, "shade.wgsl")?;
+        gpu.guarded("shading the surface", || {
+            let device = gpu.device();
+            let scene_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                label: Some("scene"),
+                entries: &scene_entries(),
+            });
+            let pixel_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                label: Some("pixels"),
+                entries: &[
+                    wgpu::BindGroupLayoutEntry {
+                        ty: wgpu::BindingType::Texture {
+                            sample_type: wgpu::TextureSampleType::Uint,
+                            view_dimension: wgpu::TextureViewDimension::D2,
+                            multisampled: false,
+                        },
+                        ..shader::flat_texture(0, false)
+                    },
+                    shader::flat_texture(1, false),
+                ],
+            });
+            let layouts = [frame_layout, surface_layout, &scene_layout, &pixel_layout];
+            let pipeline =
+                shader::fullscreen(gpu, &module, "shade_fragment", &layouts, LINEAR, None);
+            let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
+                label: Some("linear"),
+                mag_filter: wgpu::FilterMode::Linear,
+                min_filter: wgpu::FilterMode::Linear,
+                ..wgpu::SamplerDescriptor::default()
+            });
+            Self {
+                scene_layout,
+                pixel_layout,
+                pipeline,
+                sampler,
+            }
+        })
+    }
+
+    /// Binds what the shader reads.
+    pub(super) fn bind(&self, gpu: &Gpu, scene: &SceneBindings) -> wgpu::BindGroup {
+        gpu.device().create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("scene"),
+            layout: &self.scene_layout,
+            entries: &[
+                wgpu::BindGroupEntry {
+                    binding: 0,
+                    resource: wgpu::BindingResource::Sampler(&self.sampler),
+                },
+                shader::bind_texture(1, &scene.surface.diffuse),
+                shader::bind_texture(2, &scene.surface.albedo),
+                shader::bind_texture(3, scene.irradiance),
+                shader::bind_texture(4, scene.visibility),
+                shader::bind_texture(5, scene.shadow_maps),
+                shader::bind_buffer(6, scene.lobes),
+                shader::bind_buffer(7, scene.soft),
+                shader::bind_buffer(8, scene.shadows),
+            ],
+        })
+    }
+
+    /// Binds what was found visible and how much of each pixel is covered.
+    pub(super) fn bind_pixels(
+        &self,
+        gpu: &Gpu,
+        visible: &wgpu::TextureView,
+        coverage: &wgpu::TextureView,
+    ) -> wgpu::BindGroup {
+        gpu.device().create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("pixels"),
+            layout: &self.pixel_layout,
+            entries: &[
+                shader::bind_texture(0, visible),
+                shader::bind_texture(1, coverage),
+            ],
+        })
+    }
+
+    /// Shades all pixels. The groups are those of the frame, the surface, the scene and the pixels.
+    pub(super) fn draw(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        groups: [&wgpu::BindGroup; 4],
+        target: &wgpu::TextureView,
+    ) {
+        let mut pass = shader::picture_pass(encoder, target, true);
+        pass.set_pipeline(&self.pipeline);
+        for (i, group) in groups.into_iter().enumerate() {
+            pass.set_bind_group(i as u32, group, &[]);
+        }
+        pass.draw(0..3, 0..1);
+    }
+}
+
+fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 9] {
+    let fragment = wgpu::ShaderStages::FRAGMENT;
+    let texture = |binding, sample_type, view_dimension| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: fragment,
+        ty: wgpu::BindingType::Texture {
+            sample_type,
+            view_dimension,
+            multisampled: false,
+        },
+        count: None,
+    };
+    let colour = wgpu::TextureSampleType::Float { filterable: true };
+    let flat = wgpu::TextureViewDimension::D2;
+    let layers = wgpu::TextureViewDimension::D2Array;
+    [
+        wgpu::BindGroupLayoutEntry {
+            binding: 0,
+            visibility: fragment,
+            ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
+            count: None,
+        },
+        texture(1, colour, flat),
+        texture(2, colour, flat),
+        texture(3, colour, flat),
+        texture(4, colour, layers),
+        texture(5, wgpu::TextureSampleType::Depth, layers),
+        shader::storage(6),
+        shader::storage(7),
+        shader::uniform(8),
+    ]
+}

@@ -1,0 +1,86 @@
+//! The textures of one picture size.
+
+use super::accumulate::AccumulatePass;
+use super::display::{DisplayPass, SHOWN};
+use super::error::RenderError;
+use super::frame::{DEPTH, LINEAR};
+use super::gpu::Gpu;
+use super::shade::ShadePass;
+use super::visible::{COVERED, SAMPLES, VISIBLE};
+
+/// What a picture is drawn into.
+pub(super) struct Targets {
+    pub size: [u32; 2],
+    /// The triangle of each pixel.
+    pub visible: wgpu::TextureView,
+    pub depth: wgpu::TextureView,
+    /// Four samples of a pixel's coverage, and their mean.
+    pub coverage_samples: wgpu::TextureView,
+    pub coverage: wgpu::TextureView,
+    /// Binds them to be shaded.
+    pub pixels: wgpu::BindGroup,
+    /// The picture while things move.
+    pub moving: wgpu::Texture,
+    pub moving_view: wgpu::TextureView,
+    /// One frame of a still picture.
+    pub still_frame: wgpu::TextureView,
+    /// The mean of all of them.
+    pub mean: wgpu::Texture,
+    pub mean_view: wgpu::TextureView,
+    /// What the window shows.
+    pub shown: wgpu::Texture,
+    pub shown_view: wgpu::TextureView,
+    /// Binds a frame of a still picture to be accumulated.
+    pub accumulate: wgpu::BindGroup,
+    /// Binds the moving and the still picture to be shown.
+    pub show: [wgpu::BindGroup; 2],
+}
+
+impl Targets {
+    pub(super) fn new(
+        gpu: &Gpu,
+        size: [u32; 2],
+        shade: &ShadePass,
+        accumulate: &AccumulatePass,
+        display: &DisplayPass,
+        light: &wgpu::TextureView,
+    ) -> Result<Self, RenderError> {
+        gpu.check_texture("the picture", size, "make the window smaller")?;
+        gpu.guarded("the picture", || {
+            let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
+            let read = attachment | wgpu::TextureUsages::TEXTURE_BINDING;
+            let copied = read | wgpu::TextureUsages::COPY_SRC;
+            let make = |label, format, usage, samples| {
+                gpu.texture(label, [size[0], size[1], 1], format, usage, samples)
+            };
+            let view = |t: &wgpu::Texture| t.create_view(&wgpu::TextureViewDescriptor::default());
+            let visible = view(&make("visible", VISIBLE, read, 1));
+            let coverage = view(&make("coverage", COVERED, read, 1));
+            let moving = make("moving", LINEAR, copied, 1);
+            let mean = make("still", LINEAR, copied, 1);
+            let shown = make("shown", SHOWN, copied, 1);
+            let still_frame = view(&make("still frame", LINEAR, read, 1));
+            let (moving_view, mean_view) = (view(&moving), view(&mean));
+            Self {
+                size,
+                depth: view(&make("depth", DEPTH, attachment, 1)),
+                coverage_samples: view(&make("coverage samples", COVERED, attachment, SAMPLES)),
+                pixels: shade.bind_pixels(gpu, &visible, &coverage),
+                accumulate: accumulate.bind(gpu, &still_frame),
+                show: [
+                    display.bind(gpu, &moving_view, light),
+                    display.bind(gpu, &mean_view, light),
+                ],
+                shown_view: view(&shown),
+                visible,
+                coverage,
+                moving,
+                moving_view,
+                still_frame,
+                mean,
+                mean_view,
+                shown,
+            }
+        })
+    }
+}
