@@ -376,10 +376,15 @@ impl Worker {
         let working = Builder::new()
             .name("worker".to_owned())
             .spawn(move || bench.work(&waiting))?;
-        let studio = (Arc::clone(&shots), Arc::clone(&pictures), Arc::clone(&wake));
+        let studio = Previews {
+            shots: Arc::clone(&shots),
+            closing: Arc::clone(&control.closing),
+            pictures: Arc::clone(&pictures),
+            wake: Arc::clone(&wake),
+        };
         let rendering = Builder::new()
             .name("preview".to_owned())
-            .spawn(move || preview(&studio.0, &studio.1, &studio.2))?;
+            .spawn(move || studio.work())?;
         Ok(Self {
             commands: Some(commands),
             events: Some(events),
@@ -832,36 +837,49 @@ impl Subject {
     }
 }
 
-/// Renders shots, always the newest, until told to close.
-fn preview(shots: &Latest<Preview>, pictures: &Latest<Rendered>, wake: &Wake) {
-    let mut last: Option<(Subject, Prepared)> = None;
-    while let Preview::Shot(shot) = shots.wait() {
-        let prepared = match last.take() {
-            Some((subject, prepared)) if subject.is_same_object(&shot.subject) => prepared,
-            _ => shot.subject.prepare(),
-        };
-        let picture = catch_unwind(AssertUnwindSafe(|| take_picture(&shot, &prepared)));
-        if let Ok(picture) = picture {
-            pictures.store(Rendered {
-                id: shot.id,
-                camera: shot.camera,
-                picture,
-            });
-            wake();
+/// The side of the thread that renders shots.
+struct Previews {
+    shots: Arc<Latest<Preview>>,
+    closing: Arc<AtomicBool>,
+    pictures: Arc<Latest<Rendered>>,
+    wake: Wake,
+}
+
+impl Previews {
+    /// Renders shots, always the newest, until told to close.
+    fn work(&self) {
+        let mut last: Option<(Subject, Prepared)> = None;
+        while let Preview::Shot(shot) = self.shots.wait() {
+            let prepared = match last.take() {
+                Some((subject, prepared)) if subject.is_same_object(&shot.subject) => prepared,
+                _ => shot.subject.prepare(),
+            };
+            let picture = catch_unwind(AssertUnwindSafe(|| {
+                take_picture(&shot, &prepared, &self.closing)
+            }));
+            if let Ok(picture) = picture {
+                self.pictures.store(Rendered {
+                    id: shot.id,
+                    camera: shot.camera,
+                    picture,
+                });
+                (self.wake)();
+            }
+            last = Some((shot.subject, prepared));
         }
-        last = Some((shot.subject, prepared));
     }
 }
 
-fn take_picture(shot: &Shot, prepared: &Prepared) -> relight::Picture {
+fn take_picture(shot: &Shot, prepared: &Prepared, closing: &AtomicBool) -> relight::Picture {
     match &shot.subject {
-        Subject::Solved(solution) => take_solved(shot, solution, prepared),
+        Subject::Solved(solution) => take_solved(shot, solution, prepared, closing),
         Subject::Running {
             capture,
             texture,
             brdf,
         } => {
-            let shader = Shader::new(&prepared.occluder, Some(*brdf), &shot.lighting);
+            let shader =
+                Shader::new(&prepared.occluder, Some(*brdf), &shot.lighting).stopped_by(closing);
             let scene = Scene {
                 mesh: &capture.mesh,
                 occluder: &prepared.occluder,
@@ -875,8 +893,13 @@ fn take_picture(shot: &Shot, prepared: &Prepared) -> relight::Picture {
 }
 
 /// A solution as `rekindle render` shows it.
-fn take_solved(shot: &Shot, solution: &Solution, prepared: &Prepared) -> relight::Picture {
-    let shader = Shader::new(&prepared.occluder, solution.brdf, &shot.lighting);
+fn take_solved(
+    shot: &Shot,
+    solution: &Solution,
+    prepared: &Prepared,
+    closing: &AtomicBool,
+) -> relight::Picture {
+    let shader = Shader::new(&prepared.occluder, solution.brdf, &shot.lighting).stopped_by(closing);
     let unchanged = shot.lighting == solution.lighting();
     let atlas = &solution.atlas;
     let (texture, diffuse) = if unchanged {

@@ -305,7 +305,7 @@ pub const ENTRIES: &[Entry] = &[
         Action::Histogram,
         "Histogram",
         Menu::View,
-        Some((NONE, Key::H)),
+        Some((NONE, Key::I)),
         "Show how often each brightness occurs",
     ),
     entry(

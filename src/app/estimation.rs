@@ -559,7 +559,10 @@ impl Estimation {
             habit: shared.settings.habit,
             free: true,
             version,
-            subject,
+            gpu: None,
+            dragging: false,
+            shadowed: 0,
+            subject: Some(subject),
         };
         self.viewport.show(ui, scene);
     }

@@ -25,6 +25,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eframe::egui;
+use eframe::egui_wgpu::RenderState;
 
 use crate::studio::{Document, Recoverable, state_folder};
 use crate::worker::{Command, Event, OpenedCapture, Purpose, Source, Worker};
@@ -83,6 +84,8 @@ struct Shared<'a> {
     settings: &'a mut Settings,
     /// Commands given on this page, to be carried out after it is drawn.
     actions: &'a mut Vec<Request>,
+    /// The window's graphics card, if there is one.
+    gpu: Option<&'a RenderState>,
     /// Whether the worker has something to do.
     busy: bool,
 }
@@ -100,6 +103,7 @@ enum Request {
 /// The window's state.
 pub struct App {
     worker: Worker,
+    gpu: Option<RenderState>,
     settings: Settings,
     notices: Notices,
     page: Page,
@@ -133,6 +137,7 @@ impl App {
         let worker = Worker::new(Arc::new(move || ctx.request_repaint()))?;
         let mut app = Self {
             worker,
+            gpu: cc.wgpu_render_state.clone(),
             settings,
             notices: Notices::default(),
             page: Page::Welcome,
@@ -523,6 +528,14 @@ impl App {
                     .add(Weight::Error, "Unsaved work can't be kept", text);
             }
         }
+        let failure = self
+            .relighting
+            .as_mut()
+            .and_then(|relighting| relighting.viewport_mut().take_failure());
+        if let Some(text) = failure {
+            self.notices
+                .add(Weight::Error, "Drawing failed on the graphics card", text);
+        }
         if ctx.input(|i| i.viewport().close_requested()) && !self.leaving && self.has_unsaved_work()
         {
             ctx.send_viewport_cmd(egui::ViewportCommand::CancelClose);
@@ -611,6 +624,7 @@ impl App {
             worker: &mut self.worker,
             settings: &mut self.settings,
             actions: &mut actions,
+            gpu: self.gpu.as_ref(),
             busy: self.job.is_some(),
         };
         match self.page {

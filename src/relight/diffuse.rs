@@ -119,6 +119,9 @@ pub fn reconstruct(
         })
         .collect();
     for iteration in 0..ITERATIONS {
+        if shader.is_stopped() {
+            break;
+        }
         let residuals: Vec<Vec<Vec3>> = footprints
             .iter()
             .map(|f| f.residuals(&texture, size))

@@ -178,7 +178,7 @@ fn render_band(
         .map(|tile| {
             let corner = [tile % columns * TILE, tile / columns * TILE];
             let size = [TILE.min(width - corner[0]), TILE.min(height - corner[1])];
-            if stop() {
+            if stop() || shader.is_stopped() {
                 return vec![Pixel::default(); size[0] * size[1]];
             }
             Tile {

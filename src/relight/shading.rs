@@ -11,6 +11,8 @@
 //! only where they disagree (the penumbra) every node has its ray. On a grid of neighbouring points even the
 //! probes are cast for every fourth point only; see [`Shader::visibility`].
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use glam::{Vec2, Vec3};
 
 use super::lighting::{LampNodes, Lighting};
@@ -141,6 +143,8 @@ pub struct Shader<'a> {
     ambient: Vec3,
     /// Half-angle beyond which the lobe is cut, radians.
     support: f32,
+    /// Once set, nothing more is computed.
+    stop: Option<&'a AtomicBool>,
 }
 
 impl Group {
@@ -327,7 +331,22 @@ impl<'a> Shader<'a> {
             groups,
             ambient: lighting.ambient * ambient_gain(brdf),
             support: brdf.map_or(0.0, |b| b.half_angle_support(LOBE_CUTOFF)),
+            stop: None,
         }
+    }
+
+    /// Once `stop` is set, long work with this shader ends soon. Its results then are of no use.
+    #[must_use]
+    pub fn stopped_by(self, stop: &'a AtomicBool) -> Self {
+        Self {
+            stop: Some(stop),
+            ..self
+        }
+    }
+
+    /// Whether the work is to end.
+    pub fn is_stopped(&self) -> bool {
+        self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
     }
 
     /// Number of lamps and patches, so of visibilities a point has.
@@ -374,7 +393,7 @@ impl<'a> Shader<'a> {
     /// Casts the rays that tell how much of a group a point sees.
     pub fn cast(&self, point: &ShadingPoint, group: usize) -> Visibility {
         let group = &self.groups[group];
-        if group.horizon(point) == Horizon::Below {
+        if group.horizon(point) == Horizon::Below || self.is_stopped() {
             return Visibility::Below;
         }
         let origin = self

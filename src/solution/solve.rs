@@ -9,7 +9,7 @@ use super::{Fit, HemispherePicture, Solution, SolutionLamp, lighting};
 use crate::capture::Capture;
 use crate::estimate::{
     Diagnostics, Estimate, EstimateInput, EstimateParams, Interim, Iteration, Observer, Stopped,
-    estimate,
+    estimate, watched,
 };
 use crate::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
@@ -127,30 +127,37 @@ pub fn solve(
     drop(surfaces);
     clock.lap("estimate");
 
-    report(observer, TEXTURE)?;
     let lamps = name_lamps(&grid, &found);
     let light = lighting(&grid, &found.radiance, &lamps, Vec3::ZERO);
-    let interreflection = Interreflection::new(mesh, &occluder, found.brdf);
-    // What the surface mirrors of itself is small: the first guess at its texture will do.
-    let scene = Scene {
-        mesh,
-        occluder: &occluder,
-        brdf: found.brdf,
-        surroundings: interreflection
-            .as_ref()
-            .map(|interreflection| Surroundings {
-                interreflection,
-                atlas: &atlas,
-                texture: &minimum.radiance,
-                relit: None,
-            }),
-    };
-    let shader = Shader::new(&occluder, found.brdf, &light);
-    let mut texture = reconstruct(&scene, &capture.views, &atlas, &shader);
-    clock.lap("texture");
-    report(observer, ALBEDO)?;
-    let albedo = separate(&scene, &atlas, &shader, &mut texture);
-    clock.lap("albedo");
+    let (texture, albedo) = watched(observer, |watcher| {
+        let stop = watcher.stop();
+        let mut observer = watcher;
+        report(&mut observer, TEXTURE)?;
+        let interreflection = Interreflection::new(mesh, &occluder, found.brdf);
+        // What the surface mirrors of itself is small: the first guess at its texture will do.
+        let scene = Scene {
+            mesh,
+            occluder: &occluder,
+            brdf: found.brdf,
+            surroundings: interreflection
+                .as_ref()
+                .map(|interreflection| Surroundings {
+                    interreflection,
+                    atlas: &atlas,
+                    texture: &minimum.radiance,
+                    relit: None,
+                }),
+        };
+        let shader = Shader::new(&occluder, found.brdf, &light).stopped_by(stop);
+        let mut texture = reconstruct(&scene, &capture.views, &atlas, &shader);
+        clock.lap("texture");
+        report(&mut observer, ALBEDO)?;
+        let albedo = separate(&scene, &atlas, &shader, &mut texture);
+        clock.lap("albedo");
+        // What long loops give after a stop is of no use.
+        report(&mut observer, ALBEDO)?;
+        Ok((texture, albedo))
+    })?;
 
     let mut warnings = capture.warnings.clone();
     warnings.extend(atlas.warnings.iter().cloned());

@@ -77,10 +77,13 @@ impl Relighting {
                     habit: shared.settings.habit,
                     free: true,
                     version: document.revision(),
-                    subject: || {
+                    gpu: shared.gpu,
+                    dragging: document.is_dragging(),
+                    shadowed: 0,
+                    subject: Some(|| {
                         let subject = Subject::Solved(Arc::clone(document.solution()));
                         Some((subject, document.light().lighting))
-                    },
+                    }),
                 };
                 self.viewport.show(ui, scene);
             });

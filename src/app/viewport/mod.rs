@@ -2,6 +2,7 @@
 
 mod compare;
 mod display;
+mod gpu;
 mod histogram;
 
 use std::sync::Arc;
@@ -16,12 +17,15 @@ use super::navigation::{Habit, Navigation};
 use super::theme;
 use crate::capture::{Camera, Capture, Mesh};
 use crate::relight::{Lighting, ShadingPoint};
+use crate::render::{Background, FrameRequest, Mode, RenderError};
 use crate::solution::Solution;
 use crate::studio::{ViewTransform, luminance};
 use crate::surface::Occluder;
 use crate::worker::{Latest, Rendered, Shot, Subject, Worker};
 use compare::{Compare, Kind};
 use display::{Display, Linear};
+use eframe::egui_wgpu::RenderState;
+use gpu::GpuPicture;
 use histogram::Histogram;
 
 /// Longest side of a picture of the reference renderer, pixels.
@@ -46,10 +50,10 @@ pub struct Viewport {
     cameras: Vec<(String, Camera)>,
     /// The input camera that is looked through.
     at: Option<usize>,
-    /// Exposure in stops.
-    exposure: f32,
-    transform: ViewTransform,
-    background: [u8; 3],
+    look: Look,
+    gpu: Option<GpuPicture>,
+    /// Why the graphics card doesn't draw, once it has failed, and whether that was told.
+    failure: Option<(RenderError, bool)>,
     /// Radiance that is white at no stops.
     white: f32,
     compare: Compare,
@@ -59,7 +63,8 @@ pub struct Viewport {
     wanted: Option<Wanted>,
     shown: Option<Shown>,
     histogram: Option<Histogram>,
-    show_histogram: bool,
+    /// Number of the picture that the histogram is of, where the graphics card drew it.
+    histogram_of: Option<u64>,
     pointer: Option<Pos2>,
     pointed: Option<Pointed>,
     object: Object,
@@ -68,6 +73,20 @@ pub struct Viewport {
     built: Arc<Latest<Occluder>>,
     /// Camera and place of the picture that was drawn last.
     last: Option<(Camera, Rect)>,
+}
+
+/// How the object is shown.
+#[derive(Clone, Copy, Debug)]
+struct Look {
+    /// Exposure in stops.
+    exposure: f32,
+    transform: ViewTransform,
+    background: [u8; 3],
+    /// Whether the lighting is behind the object, instead of the background's colour.
+    lit_background: bool,
+    mode: Mode,
+    /// Whether the histogram is shown.
+    histogram: bool,
 }
 
 /// Whose mesh is seen.
@@ -118,6 +137,12 @@ struct Pointed {
 pub struct Scene<'a, F> {
     /// Who renders.
     pub worker: &'a mut Worker,
+    /// The window's graphics card, if there is one.
+    pub gpu: Option<&'a RenderState>,
+    /// Whether a lamp is being dragged: the picture may be coarse.
+    pub dragging: bool,
+    /// The lamp whose shadow is shown where shadows are, by its place in the lighting.
+    pub shadowed: usize,
     /// Which mouse buttons move the view.
     pub habit: Habit,
     /// Whether the left button has nothing else to do than to move the view.
@@ -125,7 +150,7 @@ pub struct Scene<'a, F> {
     /// Changes with object and lighting.
     pub version: u64,
     /// Object and lighting; asked for only when a new picture is needed.
-    pub subject: F,
+    pub subject: Option<F>,
 }
 
 impl Viewport {
@@ -141,9 +166,16 @@ impl Viewport {
                 .map(|v| (v.name.clone(), v.camera.clone()))
                 .collect(),
             at: None,
-            exposure: 0.0,
-            transform: ViewTransform::Srgb,
-            background: [18; 3],
+            look: Look {
+                exposure: 0.0,
+                transform: ViewTransform::Srgb,
+                background: [18; 3],
+                lit_background: false,
+                mode: Mode::Beauty,
+                histogram: false,
+            },
+            gpu: None,
+            failure: None,
             white: 1.0,
             compare: Compare::default(),
             comparable: false,
@@ -151,7 +183,7 @@ impl Viewport {
             wanted: None,
             shown: None,
             histogram: None,
-            show_histogram: false,
+            histogram_of: None,
             pointer: None,
             pointed: None,
             object,
@@ -172,6 +204,15 @@ impl Viewport {
         self.white = white;
     }
 
+    /// What went wrong with the graphics card, once.
+    pub fn take_failure(&mut self) -> Option<String> {
+        let (failure, told) = self.failure.as_mut().filter(|(_, told)| !told)?;
+        *told = true;
+        Some(format!(
+            "{failure}. The reference renderer shows the object at reduced size meanwhile; all lights are kept."
+        ))
+    }
+
     /// Allows the comparison with the photographs: the subject is a solution.
     pub fn allow_comparison(&mut self) {
         self.comparable = self.capture.is_some();
@@ -189,10 +230,10 @@ impl Viewport {
                 self.navigation.reset();
             }
             Action::Camera(n) => self.go_to(usize::from(n)),
-            Action::Brighter => self.exposure = (self.exposure + STEP).min(MOST_STOPS),
-            Action::Darker => self.exposure = (self.exposure - STEP).max(-MOST_STOPS),
-            Action::ResetExposure => self.exposure = 0.0,
-            Action::Histogram => self.show_histogram = !self.show_histogram,
+            Action::Brighter => self.look.exposure = (self.look.exposure + STEP).min(MOST_STOPS),
+            Action::Darker => self.look.exposure = (self.look.exposure - STEP).max(-MOST_STOPS),
+            Action::ResetExposure => self.look.exposure = 0.0,
+            Action::Histogram => self.look.histogram = !self.look.histogram,
             _ => {}
         }
     }
@@ -213,11 +254,11 @@ impl Viewport {
     }
 
     fn display(&self) -> Display {
-        let [r, g, b] = self.background;
+        let [r, g, b] = self.look.background;
         Display {
-            exposure: self.exposure,
+            exposure: self.look.exposure,
             white: self.white,
-            transform: self.transform,
+            transform: self.look.transform,
             background: Color32::from_rgb(r, g, b),
         }
     }
@@ -306,7 +347,7 @@ impl Viewport {
     }
 
     /// Shows the object and the bar below it.
-    pub fn show<F>(&mut self, ui: &mut egui::Ui, scene: Scene<'_, F>) -> egui::Response
+    pub fn show<F>(&mut self, ui: &mut egui::Ui, mut scene: Scene<'_, F>) -> egui::Response
     where
         F: FnOnce() -> Option<(Subject, Lighting)>,
     {
@@ -334,13 +375,17 @@ impl Viewport {
             ui.ctx().request_repaint();
         }
         let picture = self.picture_rect(rect);
-        self.ask(scene.worker, picture, moving, scene.version, scene.subject);
-        self.paint(ui, &painter, picture);
         let scale = ui.pixels_per_point();
         let pixels = |side: f32| ((side * scale).round() as u32).max(1);
         let camera = self.camera(pixels(picture.width()), pixels(picture.height()));
         self.last = Some((camera, picture));
         self.pointer = response.hover_pos();
+        if !self.paint_with_gpu(ui, &painter, picture, &mut scene) {
+            if let Some(subject) = scene.subject.take() {
+                self.ask(scene.worker, picture, moving, scene.version, subject);
+            }
+            self.paint(ui, &painter, picture);
+        }
         self.point(&response, picture);
         if response.double_clicked()
             && let Some(pointer) = response.interact_pointer_pos()
@@ -357,8 +402,103 @@ impl Viewport {
         }
         self.histogram_ui(ui, rect);
         self.corner_ui(ui, rect);
+        self.kinds_ui(ui, rect);
         response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, "Viewport"));
         response
+    }
+
+    /// Draws the object by the graphics card. Whether it did.
+    fn paint_with_gpu<F>(
+        &mut self,
+        ui: &egui::Ui,
+        painter: &egui::Painter,
+        rect: Rect,
+        scene: &mut Scene<'_, F>,
+    ) -> bool
+    where
+        F: FnOnce() -> Option<(Subject, Lighting)>,
+    {
+        let Object::Solution(solution) = &self.object else {
+            return false;
+        };
+        let Some(state) = scene.gpu.filter(|_| self.failure.is_none()) else {
+            return false;
+        };
+        if self.compare.kind != Kind::Object && self.compare.is_possible() {
+            return false;
+        }
+        let solution = Arc::clone(solution);
+        match self.try_gpu(ui.ctx(), state, &solution, scene) {
+            Ok(texture) => {
+                if let Some(texture) = texture {
+                    let all = Rect::from_min_max(Pos2::ZERO, egui::pos2(1.0, 1.0));
+                    painter.image(texture, rect, all, Color32::WHITE);
+                }
+                true
+            }
+            Err(error) => {
+                self.failure = Some((error, false));
+                self.gpu = None;
+                ui.ctx().request_repaint();
+                false
+            }
+        }
+    }
+
+    fn try_gpu<F>(
+        &mut self,
+        ctx: &egui::Context,
+        state: &RenderState,
+        solution: &Arc<Solution>,
+        scene: &mut Scene<'_, F>,
+    ) -> Result<Option<egui::TextureId>, RenderError>
+    where
+        F: FnOnce() -> Option<(Subject, Lighting)>,
+    {
+        let Some((camera, _)) = &self.last else {
+            return Ok(None);
+        };
+        let background = if self.look.lit_background {
+            Background::Light
+        } else {
+            Background::Colour(self.look.background.map(|v| f32::from(v) / 255.0))
+        };
+        let request = FrameRequest {
+            camera: camera.clone(),
+            mode: match self.look.mode {
+                Mode::Shadow(_) => Mode::Shadow(scene.shadowed),
+                mode => mode,
+            },
+            exposure_ev: self.look.exposure,
+            transform: self.look.transform,
+            background,
+            dragging: scene.dragging,
+        };
+        if self.gpu.is_none() {
+            self.gpu = Some(GpuPicture::new(state, ctx)?);
+        }
+        let Some(gpu) = &mut self.gpu else {
+            return Ok(None);
+        };
+        if !gpu.prepare(scene.worker, solution)? {
+            return Ok(None);
+        }
+        let subject = scene.subject.take();
+        let texture = gpu.draw(ctx, &request, scene.version, || {
+            let (_, lighting) = subject?()?;
+            Some(lighting)
+        })?;
+        // Linear values are read back when someone looks at them.
+        if (self.look.histogram || self.pointer.is_some())
+            && gpu.is_settled()
+            && let Some(linear) = gpu.linear(ctx)?
+            && self.look.histogram
+            && self.histogram_of != Some(linear.number)
+        {
+            self.histogram = Some(Histogram::new(&linear.picture));
+            self.histogram_of = Some(linear.number);
+        }
+        Ok(texture)
     }
 
     /// Asks for a new picture if the last one asked for shows something else.
@@ -497,7 +637,10 @@ impl Viewport {
         let comparing = self.compare.kind != Kind::Object;
         let linear = match self.compare.linear() {
             Some(linear) => Some(linear),
-            None => self.shown.as_ref().map(|shown| &shown.linear),
+            None => match &self.gpu {
+                Some(gpu) => gpu.read(),
+                None => self.shown.as_ref().map(|shown| &shown.linear),
+            },
         };
         let Some(linear) = linear else { return };
         let x = ((part.x * linear.width as f32) as usize).min(linear.width - 1);
@@ -518,7 +661,7 @@ impl Viewport {
     }
 
     fn histogram_ui(&self, ui: &egui::Ui, rect: Rect) {
-        if !self.show_histogram {
+        if !self.look.histogram {
             return;
         }
         let of_comparison = self.compare.linear().map(Histogram::new);
@@ -561,15 +704,79 @@ impl Viewport {
     fn bar_ui(&mut self, ui: &mut egui::Ui) {
         ui.horizontal_centered(|ui| {
             self.camera_ui(ui);
-            if self.compare.is_possible() {
-                for kind in Kind::ALL {
-                    let (name, tip) = kind.words();
-                    ui.selectable_value(&mut self.compare.kind, kind, name)
-                        .on_hover_text(tip);
-                }
-            }
+            self.mode_ui(ui);
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 self.exposure_ui(ui);
+            });
+        });
+    }
+
+    /// Chooses what of the object is shown.
+    fn mode_ui(&mut self, ui: &mut egui::Ui) {
+        if self.gpu.is_none() {
+            return;
+        }
+        let name = |mode: Mode| match mode {
+            Mode::Beauty => ("Beauty", "Diffuse and specular radiance"),
+            Mode::Diffuse => ("Diffuse", "The diffuse part alone"),
+            Mode::Specular => ("Specular", "The specular part alone"),
+            Mode::Albedo => (
+                "Pseudo-albedo",
+                "Diffuse colour without the light, its brightest parts white",
+            ),
+            Mode::Irradiance => (
+                "Irradiance",
+                "The light that arrives, interreflection included",
+            ),
+            Mode::Normals => ("Normals", "Shading normals in the world, (n + 1)/2"),
+            Mode::Shadow(_) => ("Shadow", "What the surface sees of the selected lamp"),
+            Mode::Confidence => ("Confidence", "How far the texture is known"),
+        };
+        egui::ComboBox::from_id_salt("mode")
+            .selected_text(name(self.look.mode).0)
+            .width(112.0)
+            .show_ui(ui, |ui| {
+                for mode in [
+                    Mode::Beauty,
+                    Mode::Diffuse,
+                    Mode::Specular,
+                    Mode::Albedo,
+                    Mode::Irradiance,
+                    Mode::Normals,
+                    Mode::Shadow(0),
+                    Mode::Confidence,
+                ] {
+                    let (text, tip) = name(mode);
+                    ui.selectable_value(&mut self.look.mode, mode, text)
+                        .on_hover_text(tip);
+                }
+            })
+            .response
+            .on_hover_text("What of the object is shown")
+            .accessible_name("Mode");
+    }
+
+    /// Chooses what is shown at an input camera, over the picture's head.
+    fn kinds_ui(&mut self, ui: &mut egui::Ui, rect: Rect) {
+        if !self.compare.is_possible() {
+            return;
+        }
+        let place = Rect::from_min_size(rect.left_top() + vec2(8.0, 34.0), vec2(420.0, 34.0));
+        let builder = egui::UiBuilder::new().max_rect(place);
+        ui.scope_builder(builder, |ui| {
+            let frame = egui::Frame::new()
+                .fill(ui.visuals().panel_fill.gamma_multiply(0.9))
+                .corner_radius(6)
+                .inner_margin(4);
+            frame.show(ui, |ui| {
+                ui.horizontal(|ui| {
+                    ui.spacing_mut().item_spacing.x = 2.0;
+                    for kind in Kind::ALL {
+                        let (name, tip) = kind.words();
+                        ui.selectable_value(&mut self.compare.kind, kind, name)
+                            .on_hover_text(tip);
+                    }
+                });
             });
         });
     }
@@ -603,37 +810,41 @@ impl Viewport {
     }
 
     fn exposure_ui(&mut self, ui: &mut egui::Ui) {
-        ui.toggle_value(&mut self.show_histogram, "Histogram")
-            .on_hover_text("How often each brightness occurs, by channel, in stops from white (H)");
-        let mut colour = self.background;
+        ui.toggle_value(&mut self.look.histogram, "Histogram")
+            .on_hover_text("How often each brightness occurs, by channel, in stops from white (I)");
+        let mut colour = self.look.background;
         let picker = ui.color_edit_button_srgb(&mut colour);
         picker
             .on_hover_text("Background colour")
             .accessible_name("Background colour");
-        self.background = colour;
+        self.look.background = colour;
+        if self.gpu.is_some() {
+            ui.toggle_value(&mut self.look.lit_background, "Light")
+                .on_hover_text("Show the lighting itself behind the object");
+        }
         egui::ComboBox::from_id_salt("view transform")
-            .selected_text(self.transform.name())
+            .selected_text(self.look.transform.name())
             .width(110.0)
             .show_ui(ui, |ui| {
                 for transform in ViewTransform::ALL {
-                    ui.selectable_value(&mut self.transform, transform, transform.name());
+                    ui.selectable_value(&mut self.look.transform, transform, transform.name());
                 }
             })
             .response
             .on_hover_text("From linear radiance to the screen")
             .accessible_name("View transform");
         let reset = Button::new(RichText::new("0").monospace()).small();
-        let reset = ui.add_enabled(self.exposure != 0.0, reset);
+        let reset = ui.add_enabled(self.look.exposure != 0.0, reset);
         let tip = "Back to no stops (R)";
         if reset
             .on_hover_text(tip)
             .accessible_name("Reset exposure")
             .clicked()
         {
-            self.exposure = 0.0;
+            self.look.exposure = 0.0;
         }
         ui.add(
-            egui::DragValue::new(&mut self.exposure)
+            egui::DragValue::new(&mut self.look.exposure)
                 .range(-MOST_STOPS..=MOST_STOPS)
                 .speed(0.02)
                 .fixed_decimals(1)
