@@ -757,7 +757,13 @@ impl Observer for Shown<'_> {
             .collect();
         self.progress.steps.push(Arc::new(Step {
             iteration: Iteration {
-                elapsed_s: iteration.elapsed_s - self.progress.paused.as_secs_f64(),
+                // Of the whole solve, without the pauses.
+                elapsed_s: self
+                    .progress
+                    .started
+                    .elapsed()
+                    .saturating_sub(self.progress.paused)
+                    .as_secs_f64(),
                 ..*iteration
             },
             model: self.model,

@@ -193,10 +193,7 @@ impl Estimation {
                 State::Stopped => ("Stopped".to_owned(), fraction),
                 State::Done => ("Done".to_owned(), 1.0),
             };
-            let buttons = match self.state {
-                State::Running => 330.0,
-                _ => 260.0,
-            };
+            let buttons = 330.0;
             ui.vertical(|ui| {
                 ui.set_width((ui.available_width() - buttons).max(160.0));
                 ui.horizontal(|ui| {
@@ -330,7 +327,7 @@ impl Estimation {
                 }
                 disc::mirror_mark(ui, &disc, self.viewport.mirrored());
                 disc::direction_tip(response, &disc);
-                ui.label(RichText::new(name).small());
+                caption(ui, side, name);
             });
             if let Some(k) = self.other {
                 ui.vertical(|ui| {
@@ -350,7 +347,7 @@ impl Estimation {
                         Sense::hover(),
                         &format!("Compared {name}"),
                     );
-                    ui.label(RichText::new(name).small());
+                    caption(ui, side, name);
                 });
             }
         });
@@ -566,6 +563,12 @@ impl Estimation {
         };
         self.viewport.show(ui, scene);
     }
+}
+
+/// A disc's name in the middle below it.
+fn caption(ui: &mut egui::Ui, side: f32, name: String) {
+    let size = egui::vec2(side, 16.0);
+    ui.add_sized(size, egui::Label::new(RichText::new(name).small()));
 }
 
 /// The texture of an iteration's lighting.

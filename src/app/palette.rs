@@ -51,6 +51,7 @@ impl CommandPalette {
         let area = egui::Modal::default_area(Id::unique("palette"))
             .anchor(Align2::CENTER_TOP, vec2(0.0, 72.0));
         let modal = egui::Modal::new(Id::unique("palette"))
+            .frame(theme::dialog(ctx).inner_margin(12))
             .area(area)
             .show(ctx, |ui| {
                 ui.set_width(460.0);
@@ -111,29 +112,31 @@ fn matches(entry: &Entry, query: &str) -> bool {
 
 /// Shows all keys and gestures; whether it is to be closed.
 pub fn key_sheet(ctx: &egui::Context, gestures: &[(&str, &str)]) -> bool {
-    let modal = egui::Modal::new(Id::unique("keys")).show(ctx, |ui| {
-        ui.set_width(720.0_f32.min(ctx.content_rect().width() - 64.0));
-        ui.heading("Keys and gestures");
-        ui.add_space(8.0);
-        let height = ctx.content_rect().height() - 160.0;
-        ScrollArea::vertical().max_height(height).show(ui, |ui| {
-            ui.columns(2, |columns| {
-                for (column, menus) in [
-                    (0, [Menu::File, Menu::Edit, Menu::Estimate].as_slice()),
-                    (1, [Menu::View, Menu::Help].as_slice()),
-                ] {
-                    for &menu in menus {
-                        menu_keys(&mut columns[column], menu);
+    let modal = egui::Modal::new(Id::unique("keys"))
+        .frame(theme::dialog(ctx))
+        .show(ctx, |ui| {
+            ui.set_width(720.0_f32.min(ctx.content_rect().width() - 64.0));
+            ui.heading("Keys and gestures");
+            ui.add_space(8.0);
+            let height = ctx.content_rect().height() - 160.0;
+            ScrollArea::vertical().max_height(height).show(ui, |ui| {
+                ui.columns(2, |columns| {
+                    for (column, menus) in [
+                        (0, [Menu::File, Menu::Edit, Menu::Estimate].as_slice()),
+                        (1, [Menu::View, Menu::Help].as_slice()),
+                    ] {
+                        for &menu in menus {
+                            menu_keys(&mut columns[column], menu);
+                        }
+                        if column == 0 {
+                            gesture_keys(&mut columns[0], gestures);
+                        }
                     }
-                    if column == 0 {
-                        gesture_keys(&mut columns[0], gestures);
-                    }
-                }
+                });
             });
+            ui.add_space(8.0);
+            ui.button("Close").on_hover_text("Back to work").clicked()
         });
-        ui.add_space(8.0);
-        ui.button("Close").on_hover_text("Back to work").clicked()
-    });
     modal.inner || modal.should_close()
 }
 
@@ -145,6 +148,16 @@ fn menu_keys(ui: &mut egui::Ui, menu: Menu) {
         .show(ui, |ui| {
             for entry in ENTRIES.iter().filter(|e| e.menu == menu) {
                 let Some(keys) = entry.keys else { continue };
+                match entry.action {
+                    Action::Camera(0) => {
+                        ui.label(RichText::new("1 … 9").monospace());
+                        ui.label("Look through an input camera");
+                        ui.end_row();
+                        continue;
+                    }
+                    Action::Camera(_) => continue,
+                    _ => {}
+                }
                 ui.label(RichText::new(ui.ctx().format_shortcut(&keys)).monospace());
                 ui.label(entry.name);
                 ui.end_row();

@@ -182,6 +182,11 @@ pub fn card(ui: &egui::Ui) -> egui::Frame {
         .inner_margin(Margin::same(MARGIN))
 }
 
+/// The frame of dialogs.
+pub fn dialog(ctx: &Context) -> egui::Frame {
+    egui::Frame::popup(&ctx.global_style()).inner_margin(Margin::same(20))
+}
+
 /// The frame of side panels.
 pub fn side(ui: &egui::Ui) -> egui::Frame {
     egui::Frame::new()

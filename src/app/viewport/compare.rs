@@ -277,7 +277,7 @@ fn difference(photo: &Linear, render: &Linear, display: &Display) -> ColorImage 
 /// What the colours of the difference mean.
 fn legend(painter: &egui::Painter, rect: Rect) {
     const STEPS: usize = 32;
-    let bar = Rect::from_min_size(rect.left_bottom() + vec2(14.0, -34.0), vec2(180.0, 8.0));
+    let bar = Rect::from_min_size(rect.right_bottom() + vec2(-194.0, -34.0), vec2(180.0, 8.0));
     for i in 0..STEPS {
         let t = (i as f32 + 0.5) / STEPS as f32;
         let step = Rect::from_min_max(

@@ -646,6 +646,9 @@ impl Viewport {
         let x = ((part.x * linear.width as f32) as usize).min(linear.width - 1);
         let y = ((part.y * linear.height as f32) as usize).min(linear.height - 1);
         let at = y * linear.width + x;
+        if linear.coverage[at] <= 0.0 {
+            return;
+        }
         self.pointed = Some(Pointed {
             pixel: [x, y],
             radiance: linear.radiance[at],
