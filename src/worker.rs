@@ -39,6 +39,9 @@ pub type Wake = Arc<dyn Fn() + Send + Sync>;
 /// What a long task reports to: what it does, which part of it is done, and whether to go on.
 pub type Tell<'a> = &'a mut dyn FnMut(&str, f32) -> ControlFlow<()>;
 
+/// A long task; see [`Command::Task`].
+pub type Work = dyn FnOnce(Tell<'_>, relight::Stop<'_>) -> anyhow::Result<()> + Send;
+
 /// What can be opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
@@ -67,8 +70,8 @@ pub enum Command {
     Task {
         /// What it does, as in "exporting the picture".
         what: String,
-        /// The work. It is to return soon after a report is answered by `Break`.
-        work: Box<dyn FnOnce(Tell<'_>) -> anyhow::Result<()> + Send>,
+        /// The work. It is to return soon after a report is answered by `Break`, or the second function says to stop.
+        work: Box<Work>,
     },
 }
 
@@ -608,7 +611,8 @@ impl Bench {
                 Err(Stopped) => Event::Stopped,
             }),
             Command::Task { work, .. } => {
-                work(&mut |stage, fraction| shown.progress(stage, fraction))?;
+                let tell = &mut |stage: &str, fraction: f32| shown.progress(stage, fraction);
+                work(tell, &|| job.control.stopped())?;
                 Ok(Event::Done {
                     what: what.to_owned(),
                 })

@@ -21,6 +21,26 @@ pub enum Action {
     Undo,
     /// Do again what was undone.
     Redo,
+    /// Write pictures or an animation.
+    Export,
+    /// Add a lamp.
+    AddLamp,
+    /// Put a copy of the selected lamp beside it.
+    DuplicateLamp,
+    /// Remove the selected lamp.
+    DeleteLamp,
+    /// Switch the selected lamp off or on.
+    MuteLamp,
+    /// Leave only the selected lamp on, or end that.
+    SoloLamp,
+    /// Pressing on the object places the selected lamp's highlight.
+    PlaceHighlight,
+    /// Pressing on the object turns the selected lamp to where it shades brightest.
+    PlaceBrightest,
+    /// Pressing on the object places the selected lamp behind it.
+    PlaceRim,
+    /// Show the next look.
+    NextLook,
     /// Close the window.
     Quit,
     /// Start the estimation, or start it again.
@@ -200,6 +220,76 @@ pub const ENTRIES: &[Entry] = &[
         Menu::Edit,
         Some((CTRL, Key::Z)),
         "Undo the last change of the light",
+    ),
+    entry(
+        Action::Export,
+        "Export…",
+        Menu::File,
+        Some((CTRL, Key::E)),
+        "Write pictures or an animation, made by the reference renderer",
+    ),
+    entry(
+        Action::AddLamp,
+        "Add lamp",
+        Menu::Edit,
+        Some((NONE, Key::A)),
+        "Add a white disc of light",
+    ),
+    entry(
+        Action::DuplicateLamp,
+        "Duplicate lamp",
+        Menu::Edit,
+        Some((SHIFT, Key::D)),
+        "Put a copy of the selected lamp beside it",
+    ),
+    entry(
+        Action::DeleteLamp,
+        "Delete lamp",
+        Menu::Edit,
+        Some((NONE, Key::Delete)),
+        "Remove the selected lamp",
+    ),
+    entry(
+        Action::MuteLamp,
+        "Mute lamp",
+        Menu::Edit,
+        Some((NONE, Key::M)),
+        "Switch the selected lamp off or on",
+    ),
+    entry(
+        Action::SoloLamp,
+        "Solo lamp",
+        Menu::Edit,
+        Some((NONE, Key::S)),
+        "Leave only the selected lamp and the ambient light on, or end that",
+    ),
+    entry(
+        Action::PlaceHighlight,
+        "Place the highlight by pressing",
+        Menu::Edit,
+        Some((NONE, Key::H)),
+        "Pressing on the object puts the selected lamp's highlight there",
+    ),
+    entry(
+        Action::PlaceBrightest,
+        "Place the brightest shading by pressing",
+        Menu::Edit,
+        Some((NONE, Key::B)),
+        "Pressing on the object turns the selected lamp to face it there",
+    ),
+    entry(
+        Action::PlaceRim,
+        "Place a rim light by pressing",
+        Menu::Edit,
+        Some((NONE, Key::G)),
+        "Pressing on the object lets the selected lamp graze it there from behind",
+    ),
+    entry(
+        Action::NextLook,
+        "Next look",
+        Menu::Edit,
+        Some((NONE, Key::L)),
+        "Show the next lighting set-up",
     ),
     entry(
         Action::Quit,

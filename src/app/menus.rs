@@ -133,6 +133,7 @@ fn running_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
         Doing::Recovering(_) => "Recovering".to_owned(),
         Doing::Solving if app.worker.is_paused() => "Paused".to_owned(),
         Doing::Solving => "Estimating".to_owned(),
+        Doing::Exporting { said, .. } => said.clone(),
     };
     if app.page != Page::Estimation {
         let stop = ui.button("Stop").on_hover_text("Stop what is running");

@@ -60,6 +60,12 @@ enum Doing {
     Opening(Source),
     Recovering(Arc<Recoverable>),
     Solving,
+    Exporting {
+        /// Where to.
+        folder: PathBuf,
+        /// What is made and how far it is.
+        said: String,
+    },
 }
 
 /// With what a window begins.
@@ -178,6 +184,7 @@ impl App {
         if let Some(job) = &self.job {
             let text = match job.doing {
                 Doing::Solving => "Stop the estimation first, or wait for its end.",
+                Doing::Exporting { .. } => "Stop the export first, or wait for its end.",
                 _ => "Something else is being opened; wait for its end.",
             };
             self.notices.add(Weight::Note, "One thing at a time", text);
@@ -218,10 +225,16 @@ impl App {
 
     /// Takes in what the worker has to say.
     fn listen(&mut self, ctx: &egui::Context) {
-        if let Some(progress) = self.worker.progress()
-            && let Some(estimation) = &mut self.estimation
-        {
-            estimation.update(progress);
+        if let Some(progress) = self.worker.progress() {
+            let job = self.job.as_mut().filter(|job| job.number == progress.job);
+            match (job.map(|job| &mut job.doing), &mut self.estimation) {
+                (Some(Doing::Exporting { said, .. }), _) => {
+                    let percent = (100.0 * progress.fraction).floor();
+                    *said = format!("Exporting {}, {percent} %", progress.stage);
+                }
+                (_, Some(estimation)) => estimation.update(progress),
+                _ => {}
+            }
         }
         while let Some((number, event)) = self.worker.event() {
             let ours = self.job.as_ref().is_some_and(|job| job.number == number);
@@ -292,8 +305,18 @@ impl App {
                 self.notices.add(Weight::Done, "Estimated", text);
                 self.show_document(Document::new(solution, None));
             }
-            Event::Done { what } => self.notices.add(Weight::Done, what, ""),
+            Event::Done { what } => match doing {
+                Some(Doing::Exporting { folder, .. }) => {
+                    let text = folder.display().to_string();
+                    self.notices.add(Weight::Done, "Exported", text);
+                }
+                _ => self.notices.add(Weight::Done, what, ""),
+            },
             Event::Stopped => {
+                if matches!(doing, Some(Doing::Exporting { .. })) {
+                    let text = "No file was written.";
+                    self.notices.add(Weight::Note, "Export stopped", text);
+                }
                 if let Some(estimation) = &mut self.estimation
                     && matches!(doing, Some(Doing::Solving))
                 {
@@ -331,7 +354,23 @@ impl App {
                 let then = self.save_then.take();
                 self.save_to(&path, then);
             }
-            Purpose::ExportFolder | Purpose::LightProbe => {}
+            Purpose::ExportFolder => self.export_to(&path),
+            Purpose::LightProbe => {
+                if let Some(relighting) = &mut self.relighting {
+                    relighting.choose_probe(&mut self.worker, &path);
+                }
+            }
+        }
+    }
+
+    fn export_to(&mut self, folder: &Path) {
+        let command = self.relighting.as_ref().and_then(|r| r.export_to(folder));
+        if let Some(command) = command.filter(|_| self.job.is_none()) {
+            let doing = Doing::Exporting {
+                folder: folder.to_owned(),
+                said: "Exporting".to_owned(),
+            };
+            self.start(command, doing);
         }
     }
 
@@ -381,6 +420,19 @@ impl App {
             | Action::Darker
             | Action::Histogram
             | Action::ResetExposure => self.viewport().is_some(),
+            Action::Export => self.document().is_some() && self.job.is_none(),
+            Action::AddLamp
+            | Action::DuplicateLamp
+            | Action::DeleteLamp
+            | Action::MuteLamp
+            | Action::SoloLamp
+            | Action::PlaceHighlight
+            | Action::PlaceBrightest
+            | Action::PlaceRim
+            | Action::NextLook => {
+                let relighting = self.relighting.as_ref();
+                self.page == Page::Relighting && relighting.is_some_and(|r| r.enabled(action))
+            }
             _ => true,
         }
     }
@@ -449,6 +501,20 @@ impl App {
             Action::FullScreen => {
                 let full = ctx.input(|i| i.viewport().fullscreen.unwrap_or(false));
                 ctx.send_viewport_cmd(egui::ViewportCommand::Fullscreen(!full));
+            }
+            Action::Export
+            | Action::AddLamp
+            | Action::DuplicateLamp
+            | Action::DeleteLamp
+            | Action::MuteLamp
+            | Action::SoloLamp
+            | Action::PlaceHighlight
+            | Action::PlaceBrightest
+            | Action::PlaceRim
+            | Action::NextLook => {
+                if let Some(relighting) = &mut self.relighting {
+                    relighting.act(action);
+                }
             }
             Action::Palette => self.palette = Some(CommandPalette::new()),
             Action::Keys => self.keys = !self.keys,
@@ -640,7 +706,11 @@ impl App {
             }
             Page::Relighting => {
                 if let Some(relighting) = &mut self.relighting {
-                    relighting.show(ui, &mut shared);
+                    let problem = relighting.show(ui, &mut shared);
+                    if let Some(text) = problem {
+                        let title = "The light probe can't be used";
+                        self.notices.add(Weight::Error, title, text);
+                    }
                 }
             }
             Page::Welcome => {

@@ -307,8 +307,11 @@ impl Document {
         result
     }
 
-    /// Begins a drag, unless one is under way.
+    /// Begins a drag, unless it is under way. Another one ends first.
     pub fn begin(&mut self, label: &str) {
+        if self.gesture.as_ref().is_some_and(|g| g.label != label) {
+            self.commit();
+        }
         if self.gesture.is_none() {
             self.gesture = Some(Step {
                 label: label.to_owned(),

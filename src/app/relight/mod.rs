@@ -1,19 +1,54 @@
 //! The page on which the object is relit.
+//!
+//! The document is changed by [`looks`], [`lamps`], [`surroundings`] and [`hemisphere`] on the left, and over the viewport by
+//! [`handles`] and [`pointing`]. They share what is selected ([`editing`]), and every change goes through the document's
+//! history. [`exporting`] writes pictures.
 
+mod editing;
+mod exporting;
+mod handles;
+mod hemisphere;
+mod lamps;
+mod looks;
+mod pointing;
+mod surroundings;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
 use std::sync::Arc;
 
 use eframe::egui;
 
+use super::commands::Action;
 use super::viewport::{Object, Scene, Viewport};
 use super::{Shared, theme};
 use crate::capture::Capture;
-use crate::studio::Document;
-use crate::worker::{Rendered, Subject};
+use crate::hemisphere::FromAbove;
+use crate::studio::{Document, Place};
+use crate::worker::{Command, Latest, Purpose, Rendered, Subject, Worker};
+use editing::Editing;
+use exporting::{Answer, Question, Screen};
+use handles::{Handles, Seen};
+use hemisphere::LitDisc;
+use pointing::Pointing;
+use surroundings::Probes;
 
 /// A document that is being edited.
 pub struct Relighting {
     document: Document,
     viewport: Viewport,
+    editing: Editing,
+    disc: LitDisc,
+    handles: Handles,
+    pointing: Pointing,
+    probes: Probes,
+    /// Pixels of the disc, once they are found.
+    from_above: Arc<Latest<FromAbove>>,
+    prepared: bool,
+    question: Option<Question>,
+    /// The question as it was answered, while a folder is chosen and the pictures are made.
+    answered: Question,
 }
 
 impl Relighting {
@@ -27,7 +62,19 @@ impl Relighting {
         );
         viewport.allow_comparison();
         viewport.set_white(solution.white());
-        Self { document, viewport }
+        Self {
+            document,
+            viewport,
+            editing: Editing::default(),
+            disc: LitDisc::default(),
+            handles: Handles::default(),
+            pointing: Pointing::default(),
+            probes: Probes::default(),
+            from_above: Arc::default(),
+            prepared: false,
+            question: None,
+            answered: Question::default(),
+        }
     }
 
     /// The document.
@@ -55,37 +102,168 @@ impl Relighting {
         self.viewport.rendered(ctx, rendered);
     }
 
-    /// Shows the page.
-    pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+    /// Whether a command about lamps and looks can be given.
+    pub(super) fn enabled(&self, action: Action) -> bool {
+        match action {
+            Action::AddLamp | Action::NextLook | Action::Export => true,
+            _ => self.editing.selected(self.document.look()).is_some(),
+        }
+    }
+
+    /// Carries out a command about lamps and looks.
+    pub(super) fn act(&mut self, action: Action) {
+        let selected = self.editing.selected(self.document.look()).map(|l| l.id);
+        let (document, editing) = (&mut self.document, &mut self.editing);
+        match (action, selected) {
+            (Action::AddLamp, _) => lamps::add(document, editing),
+            (Action::NextLook, _) => looks::next(document),
+            (Action::Export, _) => self.question = Some(std::mem::take(&mut self.answered)),
+            (Action::MuteLamp, Some(id)) => lamps::mute(document, id),
+            (Action::SoloLamp, Some(id)) => lamps::solo(document, id),
+            (Action::DuplicateLamp, Some(id)) => lamps::duplicate(document, editing, id),
+            (Action::DeleteLamp, Some(id)) => lamps::delete(document, editing, id),
+            (Action::PlaceHighlight, _) => editing.place.0 = Place::Highlight,
+            (Action::PlaceBrightest, _) => editing.place.0 = Place::Brightest,
+            (Action::PlaceRim, _) => editing.place.0 = Place::Rim,
+            _ => {}
+        }
+    }
+
+    /// A light probe was chosen.
+    pub(super) fn choose_probe(&mut self, worker: &mut Worker, path: &Path) {
+        self.probes.read(worker, path);
+    }
+
+    /// The command that exports into a folder as was asked.
+    pub(super) fn export_to(&self, folder: &Path) -> Option<Command> {
+        let seen = Seen::from(self.viewport.seen()?);
+        let (transform, exposure, background) = self.viewport.shown_as();
+        let screen = Screen {
+            seen: &seen,
+            cameras: self.viewport.named_cameras(),
+            transform,
+            exposure,
+            background,
+        };
+        let lamp = self.editing.selected(self.document.look()).map(|l| l.id);
+        let job = self.answered.job(&self.document, lamp, &screen, folder);
+        Some(exporting::command(self.document.solution(), job))
+    }
+
+    /// Finds beside the window's thread what takes too long between two frames.
+    fn prepare(&mut self, worker: &mut Worker) {
+        if let Some(from_above) = self.from_above.take() {
+            self.disc.know(Arc::new(from_above));
+        }
+        if !self.prepared {
+            self.prepared = true;
+            let solution = Arc::clone(self.document.solution());
+            let slot = Arc::clone(&self.from_above);
+            worker.aside("disc", move || {
+                slot.store(LitDisc::from_above(&solution.grid));
+            });
+        }
+    }
+
+    /// Shows the page. Returns what is wrong, if something is.
+    pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) -> Option<String> {
+        self.prepare(shared.worker);
+        let problem = self.probes.take(&mut self.document);
+        self.editing.begin_frame();
         egui::Panel::left("lamps")
             .frame(theme::side(ui))
             .resizable(true)
             .default_size(theme::SIDE)
-            .size_range(220.0..=420.0)
+            .size_range(260.0..=420.0)
             .show(ui, |ui| {
-                theme::group(ui, "Lamps");
-                for lamp in &self.document.look().lamps {
-                    ui.label(&lamp.name);
-                }
+                egui::ScrollArea::vertical()
+                    .auto_shrink(false)
+                    .show(ui, |ui| self.side_ui(ui, shared));
             });
         egui::CentralPanel::default()
             .frame(theme::stage())
+            .show(ui, |ui| self.stage_ui(ui, shared));
+        self.question_ui(ui.ctx(), shared);
+        let typing = ui.ctx().text_edit_focused();
+        if !typing && self.question.is_none() && ui.input(|i| i.key_pressed(egui::Key::Escape)) {
+            if self.document.is_dragging() {
+                self.document.cancel();
+            } else {
+                self.editing.select(None);
+            }
+        }
+        editing::settle(ui.ctx(), &mut self.document);
+        problem
+    }
+
+    fn side_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        let (document, editing) = (&mut self.document, &mut self.editing);
+        looks::show(ui, document, editing);
+        ui.add_space(theme::GAP);
+        self.disc.show(ui, document, editing, shared);
+        ui.add_space(theme::GAP);
+        theme::group(ui, "Lamps");
+        lamps::list(ui, document, editing);
+        ui.add_space(theme::GAP);
+        lamps::settings(ui, document, editing);
+        ui.add_space(theme::GAP);
+        surroundings::show(ui, document, &self.probes, shared);
+        ui.add_space(theme::GAP);
+    }
+
+    fn stage_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        let bar = egui::Frame::new()
+            .fill(ui.visuals().panel_fill)
+            .inner_margin(egui::Margin::symmetric(theme::MARGIN, 6));
+        egui::Panel::top("pointing")
+            .frame(bar)
+            .exact_size(36.0)
             .show(ui, |ui| {
-                let document = &self.document;
-                let scene = Scene {
-                    worker: shared.worker,
-                    habit: shared.settings.habit,
-                    free: true,
-                    version: document.revision(),
-                    gpu: shared.gpu,
-                    dragging: document.is_dragging(),
-                    shadowed: 0,
-                    subject: Some(|| {
-                        let subject = Subject::Solved(Arc::clone(document.solution()));
-                        Some((subject, document.light().lighting))
-                    }),
-                };
-                self.viewport.show(ui, scene);
+                ui.horizontal_centered(|ui| {
+                    pointing::bar(ui, &self.document, &mut self.editing);
+                });
             });
+        let document = &self.document;
+        let look = document.look();
+        let selected = self.editing.selected(look).map(|l| l.id);
+        let shadowed = look.lamps.iter().position(|l| Some(l.id) == selected);
+        let scene = Scene {
+            worker: &mut *shared.worker,
+            habit: shared.settings.habit,
+            free: !self.pointing.is_placing(),
+            version: document.revision(),
+            gpu: shared.gpu,
+            dragging: document.is_dragging(),
+            shadowed: shadowed.unwrap_or(0),
+            subject: Some(|| {
+                let subject = Subject::Solved(Arc::clone(document.solution()));
+                Some((subject, document.light().lighting))
+            }),
+        };
+        let response = self.viewport.show(ui, scene);
+        let Some(seen) = self.viewport.seen().map(Seen::from) else {
+            return;
+        };
+        let (document, editing) = (&mut self.document, &mut self.editing);
+        let held = self.handles.show(ui, &seen, document, editing);
+        self.pointing
+            .show(ui, &response, &self.viewport, document, editing, held);
+    }
+
+    fn question_ui(&mut self, ctx: &egui::Context, shared: &mut Shared<'_>) {
+        let Some(mut question) = self.question.take() else {
+            return;
+        };
+        let lamp = self.editing.selected(self.document.look());
+        let cameras = self.viewport.cameras();
+        match question.show(ctx, cameras, lamp.map(|l| l.name.as_str())) {
+            Answer::Nothing => self.question = Some(question),
+            Answer::Closed => self.answered = question,
+            Answer::Export => {
+                self.answered = question;
+                let start = self.document.project().and_then(Path::parent);
+                shared.worker.pick(Purpose::ExportFolder, start);
+            }
+        }
     }
 }

@@ -199,6 +199,32 @@ impl Viewport {
         self.cameras.len()
     }
 
+    /// Names and input cameras.
+    pub fn named_cameras(&self) -> &[(String, Camera)] {
+        &self.cameras
+    }
+
+    /// Camera and place of the picture that was drawn last; a pixel of the camera is one of the screen.
+    pub fn seen(&self) -> Option<&(Camera, Rect)> {
+        self.last.as_ref()
+    }
+
+    /// What rays are cast at, once it is built.
+    pub fn occluder(&self) -> Option<&Occluder> {
+        self.occluder.as_ref()
+    }
+
+    /// View transform, factor of radiance before it, and display values of the background.
+    pub fn shown_as(&self) -> (ViewTransform, f32, [f32; 3]) {
+        let look = &self.look;
+        let background = look.background.map(|v| f32::from(v) / 255.0);
+        (
+            look.transform,
+            look.exposure.exp2() / self.white,
+            background,
+        )
+    }
+
     /// Sets the radiance that is white at no stops.
     pub fn set_white(&mut self, white: f32) {
         self.white = white;

@@ -1,0 +1,227 @@
+//! The lit hemisphere seen from above, with the lamps as marks that can be dragged.
+
+use std::sync::Arc;
+
+use eframe::egui::{self, Color32, Pos2, Sense, Stroke, vec2};
+use glam::Vec3;
+
+use super::editing::{Editing, hue, with_lamp};
+use crate::app::Shared;
+use crate::app::disc::{self, Disc, DiscTexture};
+use crate::hemisphere::{FromAbove, HemisphereGrid, Picture, from_above_axes};
+use crate::relight::{LampNodes, LightNode, Lighting};
+use crate::studio::{Document, Lamp, LampId};
+
+/// Side of the picture in pixels.
+const SIDE: u32 = 192;
+/// Radius of a mark in points.
+const MARK: f32 = 6.0;
+
+/// The picture of the light and what it was made of.
+#[derive(Default)]
+pub(super) struct LitDisc {
+    from_above: Option<Arc<FromAbove>>,
+    texture: DiscTexture,
+    picture: Option<(u64, Arc<Picture>)>,
+}
+
+impl LitDisc {
+    /// Gives it the way from nodes to pixels, which takes too long to find between two frames.
+    pub(super) fn know(&mut self, from_above: Arc<FromAbove>) {
+        self.from_above = Some(from_above);
+    }
+
+    /// The way from nodes to pixels.
+    pub(super) fn from_above(grid: &HemisphereGrid) -> FromAbove {
+        FromAbove::new(grid, SIDE)
+    }
+
+    /// Shows the disc as wide as there is room.
+    pub(super) fn show(
+        &mut self,
+        ui: &mut egui::Ui,
+        document: &mut Document,
+        editing: &mut Editing,
+        shared: &mut Shared<'_>,
+    ) {
+        let solution = Arc::clone(document.solution());
+        let revision = document.revision();
+        let old = self.picture.as_ref().is_none_or(|(of, _)| *of != revision);
+        if let Some(from_above) = self.from_above.as_ref().filter(|_| old) {
+            let nodes = on_grid(&solution.grid, &document.light().lighting);
+            self.picture = Some((revision, Arc::new(from_above.picture(&nodes))));
+        }
+        let exposure = shared.settings.hemisphere;
+        let texture = self
+            .picture
+            .as_ref()
+            .map(|(_, picture)| self.texture.of(ui.ctx(), picture, exposure));
+        let side = ui.available_width().min(300.0);
+        let (response, disc) = ui
+            .vertical_centered(|ui| {
+                let name = "Lit hemisphere";
+                disc::show(ui, texture, solution.grid.up, side, Sense::CLICK, name)
+            })
+            .inner;
+        if response.clicked() {
+            editing.select(None);
+        }
+        disc::direction_tip(response, &disc);
+        let look = document.look().clone();
+        for lamp in &look.lamps {
+            mark(ui, document, editing, &disc, lamp, look.is_dark(lamp));
+        }
+    }
+}
+
+/// Where a lamp's mark is. One below the horizon is on the rim, below which it stands.
+fn place(disc: &Disc, direction: Vec3) -> (Pos2, bool) {
+    if let Some(at) = disc.at(direction) {
+        return (at, true);
+    }
+    let [right, north] = from_above_axes(disc.up);
+    let flat = vec2(direction.dot(right), -direction.dot(north));
+    let out = if flat.length() > 1e-6 {
+        flat.normalized()
+    } else {
+        vec2(0.0, 1.0)
+    };
+    (disc.rect.center() + 0.5 * disc.rect.width() * out, false)
+}
+
+fn mark(
+    ui: &egui::Ui,
+    document: &mut Document,
+    editing: &mut Editing,
+    disc: &Disc,
+    lamp: &Lamp,
+    dark: bool,
+) {
+    let (at, above) = place(disc, lamp.direction);
+    let rect = egui::Rect::from_center_size(at, vec2(3.0 * MARK, 3.0 * MARK));
+    let id = ui.scope_id().with(("mark", lamp.id));
+    let response = ui.interact(rect, id, Sense::CLICK | Sense::DRAG);
+    let name = format!("{} on the hemisphere", lamp.name);
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, name.clone()));
+    grab(&response, editing, lamp.id);
+    if let Some(pointer) = response
+        .interact_pointer_pos()
+        .filter(|_| response.dragged())
+    {
+        let direction = disc.direction(pointer);
+        document.begin(&format!("Move {}", lamp.name));
+        document.update(|s, _| with_lamp(s, lamp.id, |l| l.direction = direction));
+    }
+    let selected = editing.is_selected(lamp.id);
+    let lit = editing.lit == Some(lamp.id);
+    draw_mark(
+        ui.painter(),
+        at,
+        hue(document.base(), lamp),
+        MarkStyle {
+            selected,
+            lit,
+            hollow: dark || !above,
+            faint: dark,
+        },
+    );
+    let where_it_is = if above { "" } else { ", below the horizon" };
+    response.on_hover_text(format!("{}{where_it_is}: drag to move", lamp.name));
+}
+
+/// Selects a lamp whose mark is pressed, and lights up one that the pointer is at.
+pub(super) fn grab(response: &egui::Response, editing: &mut Editing, id: LampId) {
+    if response.hovered() || response.dragged() {
+        editing.hovered = Some(id);
+    }
+    if response.clicked() || response.drag_started() {
+        editing.select(Some(id));
+    }
+}
+
+/// How a lamp's mark is drawn.
+#[expect(clippy::struct_excessive_bools, reason = "each stands alone")]
+#[derive(Clone, Copy)]
+pub(super) struct MarkStyle {
+    pub(super) selected: bool,
+    pub(super) lit: bool,
+    /// An outline only: the lamp is dark, or not where the mark is.
+    pub(super) hollow: bool,
+    pub(super) faint: bool,
+}
+
+/// Draws a lamp's mark: a disc of its hue in a dark ring, which light and white backgrounds both leave visible.
+pub(super) fn draw_mark(painter: &egui::Painter, at: Pos2, hue: Color32, style: MarkStyle) {
+    let radius = if style.lit || style.selected {
+        MARK + 1.0
+    } else {
+        MARK - 1.0
+    };
+    let strength = if style.faint { 0.55 } else { 1.0 };
+    painter.circle_stroke(
+        at,
+        radius + 1.0,
+        Stroke::new(2.5, Color32::from_black_alpha(170)),
+    );
+    if style.hollow {
+        painter.circle_stroke(at, radius, Stroke::new(2.0, hue.gamma_multiply(strength)));
+    } else {
+        painter.circle_filled(at, radius, hue.gamma_multiply(strength));
+    }
+    if style.selected || style.lit {
+        let width = if style.selected { 1.8 } else { 1.0 };
+        painter.circle_stroke(at, radius + 3.0, Stroke::new(width, Color32::WHITE));
+    }
+}
+
+/// A lighting's radiance on the nodes of the estimate. Light below the horizon is not on it.
+fn on_grid(grid: &HemisphereGrid, lighting: &Lighting) -> Vec<[f32; 3]> {
+    let mut radiance = vec![Vec3::ZERO; grid.directions.len()];
+    let mut put = |node: &LightNode| {
+        if let Some(nearest) = grid.nearest(node.direction) {
+            radiance[nearest] += node.flux() / grid.solid_angle;
+        }
+    };
+    let lamps: Vec<&LampNodes> = lighting.lamps.iter().filter(|l| !l.muted).collect();
+    lamps.iter().flat_map(|l| &l.nodes).for_each(&mut put);
+    lighting.remainder.iter().for_each(&mut put);
+    for patch in &lighting.environment {
+        patch.nodes.iter().for_each(&mut put);
+    }
+    radiance.into_iter().map(|r| r.to_array()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::studio::fixtures::solution;
+
+    #[test]
+    fn the_disc_shows_all_light_above_the_horizon() {
+        let solution = solution();
+        let mut lighting = solution.lighting();
+        let total = |l: &Lighting| {
+            let nodes = on_grid(&solution.grid, l).into_iter().map(Vec3::from);
+            nodes.sum::<Vec3>() * solution.grid.solid_angle
+        };
+        let flux: Vec3 = lighting.lamps.iter().map(LampNodes::flux).sum();
+        let stray: Vec3 = lighting.remainder.iter().map(LightNode::flux).sum();
+        assert!((total(&lighting) - flux - stray).length() < 1e-3 * flux.length());
+        lighting.lamps[0].muted = true;
+        let without = total(&lighting);
+        lighting.lamps[1].turn_towards(Vec3::NEG_Y);
+        assert!(total(&lighting).length() < without.length());
+    }
+
+    #[test]
+    fn a_lamp_below_the_horizon_has_its_mark_on_the_rim() {
+        let disc = Disc {
+            rect: egui::Rect::from_min_size(Pos2::ZERO, vec2(200.0, 200.0)),
+            up: Vec3::Y,
+        };
+        let (at, above) = place(&disc, Vec3::new(0.6, -0.8, 0.0));
+        assert!(!above && at.distance(egui::pos2(200.0, 100.0)) < 1e-3);
+        let (at, _) = place(&disc, Vec3::NEG_Y);
+        assert!((at.distance(disc.rect.center()) - 100.0).abs() < 1e-3);
+    }
+}

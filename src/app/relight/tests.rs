@@ -1,0 +1,298 @@
+//! The page driven by the names that a screen reader reads, in a window without a screen.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use eframe::egui::{self, Modifiers, Pos2, vec2};
+use egui_kittest::Harness;
+use egui_kittest::kittest::Queryable as _;
+use glam::Vec3;
+
+use crate::app::{App, Start};
+use crate::studio::fixtures::solution;
+use crate::studio::{Document, LampId};
+use crate::worker::Source;
+
+/// Longer than anything here takes on a slow machine.
+const PATIENCE: Duration = Duration::from_mins(2);
+
+type Window = Harness<'static, App>;
+
+fn window(open: &Path) -> Window {
+    let open = Some(Source::Path(open.to_owned()));
+    let start = Start {
+        open,
+        recovery: None,
+    };
+    let mut window = Harness::builder()
+        .with_size(vec2(1280.0, 900.0))
+        .build_eframe(|cc| App::new(cc, start).expect("threads"));
+    wait(&mut window, "the page", |w| {
+        w.query_by_label("Lit hemisphere").is_some()
+            && w.state()
+                .relighting
+                .as_ref()
+                .is_some_and(|r| r.viewport.occluder().is_some() && r.viewport.seen().is_some())
+    });
+    window
+}
+
+fn wait(window: &mut Window, what: &str, there: impl Fn(&Window) -> bool) {
+    let since = Instant::now();
+    while !there(window) {
+        assert!(since.elapsed() < PATIENCE, "no {what}");
+        std::thread::sleep(Duration::from_millis(5));
+        window.step();
+    }
+    window.run_steps(2);
+}
+
+fn wait_for(window: &mut Window, label: &str) {
+    wait(window, label, |w| {
+        w.query_all_by_label(label).next().is_some()
+    });
+}
+
+fn document(window: &Window) -> &Document {
+    window
+        .state()
+        .relighting
+        .as_ref()
+        .expect("a document")
+        .document()
+}
+
+fn click(window: &mut Window, label: &str) {
+    window.get_by_label(label).click();
+    window.run_steps(3);
+}
+
+fn key(window: &mut Window, modifiers: Modifiers, key: egui::Key) {
+    window.key_press_modifiers(modifiers, key);
+    window.run_steps(3);
+}
+
+/// Sets a slider or a number.
+fn set(window: &mut Window, label: &str, value: f64) {
+    window
+        .get_by_role_and_label(egui::Role::SpinButton, label)
+        .set_value_accesskit(value);
+    window.run_steps(3);
+}
+
+/// What the window looks like, for looking at: written only where the environment asks for it.
+fn look_at(window: &mut Window, name: &str) {
+    let Some(folder) = std::env::var_os("REKINDLE_LOOK") else {
+        return;
+    };
+    for _ in 0..60 {
+        std::thread::sleep(Duration::from_millis(20));
+        window.step();
+    }
+    let image = window.render().expect("a picture");
+    image.save(Path::new(&folder).join(name)).expect("written");
+}
+
+/// Drags from a place to another by way of those between.
+fn drag(window: &mut Window, from: Pos2, to: Pos2) {
+    window.hover_at(from);
+    window.step();
+    window.drag_at(from);
+    window.step();
+    for k in 1..=8 {
+        window.hover_at(from + (to - from) * (k as f32 / 8.0));
+        window.step();
+    }
+    window.drop_at(to);
+    window.run_steps(3);
+}
+
+/// Types a path where the system has no file dialog, which it must not have here.
+fn give_path(window: &mut Window, path: &Path) {
+    wait_for(window, "Use this path");
+    window
+        .get_by_label("Path")
+        .type_text(&path.display().to_string());
+    window.run_steps(2);
+    click(window, "Use this path");
+}
+
+/// Exports the view, 64 × 48 pixels, and returns the file.
+fn export(window: &mut Window, folder: &Path) -> Vec<u8> {
+    key(window, Modifiers::COMMAND, egui::Key::E);
+    wait_for(window, "Choose folder…");
+    look_at(window, "export.png");
+    set(window, "Width", 64.0);
+    set(window, "Height", 48.0);
+    window.run_steps(2);
+    click(window, "Choose folder…");
+    give_path(window, folder);
+    wait(window, "the export", |_| {
+        std::fs::read_dir(folder).is_ok_and(|d| {
+            d.flatten()
+                .any(|e| e.path().extension().is_some_and(|x| x == "png"))
+        })
+    });
+    let file = std::fs::read_dir(folder)
+        .expect("a folder")
+        .flatten()
+        .map(|e| e.path())
+        .find(|p| p.extension().is_some_and(|x| x == "png"));
+    std::fs::read(file.expect("a picture")).expect("the picture")
+}
+
+fn saved_solution(folder: &Path) -> PathBuf {
+    let place = folder.join("bumps");
+    solution().save(&place).expect("saved");
+    place
+}
+
+fn lamp(window: &Window, id: u32) -> crate::studio::Lamp {
+    document(window)
+        .look()
+        .lamp(LampId(id))
+        .expect("the lamp")
+        .clone()
+}
+
+#[test]
+fn a_lamp_is_muted_dragged_exported_and_comes_back_with_the_project() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    look_at(&mut window, "opened.png");
+    click(&mut window, "Mute Light 1");
+    assert!(lamp(&window, 0).muted);
+    key(&mut window, Modifiers::COMMAND, egui::Key::Z);
+    assert!(!lamp(&window, 0).muted, "undone");
+    assert!(!document(&window).is_modified());
+
+    let before = lamp(&window, 0).direction;
+    let mark = window
+        .get_by_label("Light 1 on the hemisphere")
+        .rect()
+        .center();
+    let disc = window.get_by_label("Lit hemisphere").rect();
+    drag(
+        &mut window,
+        mark,
+        disc.center() + vec2(-0.3, 0.2) * disc.width(),
+    );
+    look_at(&mut window, "dragged.png");
+    let after = lamp(&window, 0).direction;
+    assert!(after.angle_between(before) > 0.3, "it was moved");
+    // −0.3 of the width is −0.6 of the radius, to the west and, downwards, 0.4 to the south.
+    assert!(
+        after.distance(Vec3::new(-0.6, 0.693, 0.4)) < 0.05,
+        "{after}"
+    );
+    assert_eq!(document(&window).undo_label(), Some("Move Light 1"));
+
+    let first = export(&mut window, &folder.path().join("first"));
+    key(&mut window, Modifiers::COMMAND, egui::Key::S);
+    give_path(&mut window, &folder.path().join("evening"));
+    wait_for(&mut window, "Saved");
+    assert!(!document(&window).is_modified());
+    // One drag, one step.
+    key(&mut window, Modifiers::COMMAND, egui::Key::Z);
+    assert_eq!(
+        lamp(&window, 0).direction,
+        before,
+        "history survives saving"
+    );
+    drop(window);
+
+    let mut window = self::window(&folder.path().join("evening.rekindle"));
+    assert_eq!(lamp(&window, 0).direction, after);
+    let second = export(&mut window, &folder.path().join("second"));
+    assert!(first == second, "the same pixels");
+}
+
+#[test]
+fn lamps_are_placed_and_asked_for_by_pointing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    let view = window.get_by_label("Viewport").rect();
+    // Right of the middle there is surface.
+    let at = view.center() + vec2(0.04, 0.02) * view.width();
+    click(&mut window, "Light 2");
+    drag(&mut window, at - vec2(30.0, 0.0), at);
+    look_at(&mut window, "placed.png");
+    assert_eq!(document(&window).undo_label(), Some("Place highlight"));
+    let mirrored = {
+        let relighting = window.state().relighting.as_ref().expect("a page");
+        let (point, view) = relighting.viewport.surface_at(at).expect("surface");
+        2.0 * point.normal.dot(view) * point.normal - view
+    };
+    assert!(lamp(&window, 1).direction.distance(mirrored) < 1e-3);
+    // Its highlight is there now, so asking there gives this lamp.
+    key(&mut window, Modifiers::NONE, egui::Key::Escape);
+    window.hover_at(at - vec2(3.0, 0.0));
+    window.run_steps(2);
+    window.hover_at(at);
+    window.run_steps(3);
+    look_at(&mut window, "asked.png");
+    let asked = window
+        .query_all_by_label_contains("Highlight of Light 2")
+        .count();
+    assert!(asked > 0, "the lamp is named");
+    assert_eq!(
+        window
+            .state()
+            .relighting
+            .as_ref()
+            .and_then(|r| r.editing.lit),
+        Some(LampId(1)),
+        "its marks light up"
+    );
+    // The other ways of placing, by their keys.
+    click(&mut window, "Light 3");
+    for (place, label) in [
+        (egui::Key::B, "Place brightest shading"),
+        (egui::Key::G, "Place rim light"),
+    ] {
+        key(&mut window, Modifiers::NONE, place);
+        drag(&mut window, at - vec2(20.0, 0.0), at);
+        assert_eq!(document(&window).undo_label(), Some(label));
+    }
+    let handle = window.get_by_label("Light 1 handle").rect().center();
+    drag(&mut window, handle, handle + vec2(-60.0, 20.0));
+    assert_eq!(document(&window).undo_label(), Some("Move Light 1"));
+}
+
+#[test]
+fn every_setting_of_a_lamp_is_a_step() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    let start = document(&window).state().clone();
+    click(&mut window, "Light 2");
+    set(&mut window, "Intensity", 1.5);
+    window.run_steps(3);
+    assert_eq!(document(&window).undo_label(), Some("Intensity of Light 2"));
+    assert_eq!(lamp(&window, 1).stops, 1.5);
+    set(&mut window, "Softness", 12.0);
+    window.run_steps(3);
+    click(&mut window, "Temperature");
+    set(&mut window, "Colour temperature", 3000.0);
+    window.run_steps(3);
+    set(&mut window, "Ambient", 0.5);
+    window.run_steps(3);
+    click(&mut window, "Solo Light 1");
+    key(&mut window, Modifiers::SHIFT, egui::Key::D);
+    assert_eq!(document(&window).look().lamps.len(), 4);
+    key(&mut window, Modifiers::NONE, egui::Key::Delete);
+    key(&mut window, Modifiers::NONE, egui::Key::A);
+    assert_eq!(document(&window).look().lamps.len(), 4);
+    click(&mut window, "Edit look");
+    click(&mut window, "Duplicate look");
+    assert_eq!(document(&window).state().active, 1);
+    key(&mut window, Modifiers::NONE, egui::Key::L);
+    assert_eq!(document(&window).state().active, 0);
+    let mut steps = Vec::new();
+    while let Some(label) = document(&window).undo_label().map(str::to_owned) {
+        key(&mut window, Modifiers::COMMAND, egui::Key::Z);
+        steps.push(label);
+    }
+    assert_eq!(steps.len(), 11, "each was one step: {steps:?}");
+    assert!(document(&window).state() == &start);
+    window.check_accessibility();
+}
