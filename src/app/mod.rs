@@ -123,6 +123,8 @@ pub struct App {
     save_then: Option<Then>,
     /// Unsaved changes were given up: the window may close.
     leaving: bool,
+    /// What the window's title says.
+    title: String,
     palette: Option<CommandPalette>,
     keys: bool,
     open_path: Option<OpenPath>,
@@ -155,6 +157,7 @@ impl App {
             projects: Projects::new(start.recovery),
             save_then: None,
             leaving: false,
+            title: String::new(),
             palette: None,
             keys: false,
             open_path: None,
@@ -568,6 +571,27 @@ impl App {
         }
     }
 
+    /// Says in the window's title what is open and what it does.
+    fn set_title(&mut self, ctx: &egui::Context) {
+        let document = self.relighting.as_ref().map(Relighting::document);
+        let name = match (self.page, document, &self.capture) {
+            (Page::Relighting, Some(document), _) => {
+                let mark = if document.is_modified() { "*" } else { "" };
+                format!("{}{mark}, relighting – ", document.name())
+            }
+            (Page::Estimation, _, Some(page)) => {
+                format!("{}, estimation – ", page.capture().name)
+            }
+            (Page::Capture, _, Some(page)) => format!("{} – ", page.capture().name),
+            _ => String::new(),
+        };
+        let title = name + "Rekindle";
+        if title != self.title {
+            ctx.send_viewport_cmd(egui::ViewportCommand::Title(title.clone()));
+            self.title = title;
+        }
+    }
+
     /// Takes in what came of saving; keeps what is unsaved.
     fn look_after(&mut self, ctx: &egui::Context) {
         if let Some((outcome, then)) = self.projects.outcome() {
@@ -786,6 +810,7 @@ impl eframe::App for App {
             }
         }
         self.show_dialogs(&ctx);
+        self.set_title(&ctx);
     }
 
     fn save(&mut self, storage: &mut dyn eframe::Storage) {

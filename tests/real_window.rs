@@ -1,0 +1,216 @@
+//! The program in a real window, on an X server of its own, with a synthetic mouse and keys. Needs Xvfb, xdotool and
+//! ImageMagick: `cargo test --release --test real_window -- --ignored`.
+
+#![cfg(target_os = "linux")]
+
+use std::io::{BufRead as _, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Longer than anything here takes on a slow machine.
+const PATIENCE: Duration = Duration::from_mins(4);
+/// Side of the screen's width and height in pixels.
+const SCREEN: [u32; 2] = [1280, 820];
+
+/// An X server and the program on it; both end with it.
+struct Desk {
+    server: Child,
+    program: Option<Child>,
+    display: String,
+    folder: tempfile::TempDir,
+}
+
+impl Drop for Desk {
+    fn drop(&mut self) {
+        for child in self.program.iter_mut().chain([&mut self.server]) {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+impl Desk {
+    fn new() -> Self {
+        let mut server = Command::new("Xvfb")
+            .args(["-displayfd", "1", "-nolisten", "tcp", "-screen", "0"])
+            .arg(format!("{}x{}x24", SCREEN[0], SCREEN[1]))
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("Xvfb is installed");
+        let mut number = String::new();
+        let said = server.stdout.take().expect("piped");
+        BufReader::new(said)
+            .read_line(&mut number)
+            .expect("a number");
+        Self {
+            server,
+            program: None,
+            display: format!(":{}", number.trim()),
+            folder: tempfile::tempdir().expect("a folder"),
+        }
+    }
+
+    fn start(&mut self) {
+        let home = self.folder.path();
+        let program = Command::new(env!("CARGO_BIN_EXE_rekindle"))
+            .env("DISPLAY", &self.display)
+            .env_remove("WAYLAND_DISPLAY")
+            .env("XDG_RUNTIME_DIR", home)
+            .env("XDG_DATA_HOME", home.join("data"))
+            .env("XDG_STATE_HOME", home.join("state"))
+            .current_dir(home)
+            .spawn()
+            .expect("the program starts");
+        self.program = Some(program);
+    }
+
+    fn xdotool(&self, arguments: &[&str]) -> String {
+        let run = Command::new("xdotool")
+            .env("DISPLAY", &self.display)
+            .args(arguments)
+            .output()
+            .expect("xdotool is installed");
+        String::from_utf8_lossy(&run.stdout).trim().to_owned()
+    }
+
+    /// Waits for the window's title to begin so, and focuses the window.
+    fn wait_for(&self, title: &str) {
+        let since = Instant::now();
+        loop {
+            let pattern = format!("^{title}");
+            let found = self.xdotool(&["search", "--name", &pattern]);
+            if let Some(window) = found.lines().next() {
+                self.xdotool(&["windowmove", window, "0", "0"]);
+                let [width, height] = SCREEN.map(|side| side.to_string());
+                self.xdotool(&["windowsize", window, &width, &height]);
+                self.xdotool(&["windowfocus", window]);
+                std::thread::sleep(Duration::from_millis(500));
+                return;
+            }
+            assert!(since.elapsed() < PATIENCE, "no window called {title}");
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+
+    fn key(&self, key: &str) {
+        self.xdotool(&["key", "--clearmodifiers", key]);
+        std::thread::sleep(Duration::from_millis(300));
+    }
+
+    fn screen(&self) -> image::RgbImage {
+        let file = self.folder.path().join("screen.png");
+        let run = Command::new("import")
+            .env("DISPLAY", &self.display)
+            .args(["-window", "root"])
+            .arg(&file)
+            .status()
+            .expect("ImageMagick is installed");
+        assert!(run.success(), "no picture of the screen");
+        image::open(&file).expect("a picture").to_rgb8()
+    }
+
+    /// Waits until the screen stands still and returns it.
+    fn still_screen(&self) -> image::RgbImage {
+        let since = Instant::now();
+        let mut before = self.screen();
+        loop {
+            std::thread::sleep(Duration::from_millis(1500));
+            let now = self.screen();
+            if now == before {
+                return now;
+            }
+            assert!(since.elapsed() < PATIENCE, "the screen never stands still");
+            before = now;
+        }
+    }
+}
+
+/// Mean brightness around a place.
+fn brightness(screen: &image::RgbImage, [x, y]: [u32; 2]) -> f32 {
+    const REACH: u32 = 3;
+    let mut sum = 0.0;
+    let mut count = 0.0;
+    for row in y - REACH..=y + REACH {
+        for column in x - REACH..=x + REACH {
+            let pixel = screen.get_pixel(column, row);
+            sum += pixel.0.iter().map(|&v| f32::from(v)).sum::<f32>() / 3.0;
+            count += 1.0;
+        }
+    }
+    sum / count
+}
+
+#[test]
+#[ignore = "needs Xvfb, xdotool and ImageMagick"]
+fn a_lamp_is_dragged_and_its_highlight_moves() {
+    let mut desk = Desk::new();
+    desk.start();
+    desk.wait_for("Rekindle");
+    desk.key("ctrl+d");
+    desk.wait_for("demo – ");
+    desk.key("ctrl+Return");
+    desk.wait_for("demo, estimation");
+    desk.wait_for("demo\\*?, relighting");
+    // The first lamp; its highlight follows the mouse over the object.
+    desk.key("n");
+    let before = desk.still_screen();
+    let (from, to) = places(&before);
+    let between = [u32::midpoint(from[0], to[0]), u32::midpoint(from[1], to[1])];
+    let drag = |at: [u32; 2], down: &str| {
+        let [x, y] = at.map(|v| v.to_string());
+        desk.xdotool(&["mousemove", &x, &y]);
+        std::thread::sleep(Duration::from_millis(200));
+        if !down.is_empty() {
+            desk.xdotool(&[down, "1"]);
+            std::thread::sleep(Duration::from_millis(200));
+        }
+    };
+    drag(from, "mousedown");
+    drag(between, "");
+    drag(from, "mouseup");
+    drag([4, SCREEN[1] / 2], "");
+    let first = desk.still_screen();
+    drag(from, "mousedown");
+    drag(between, "");
+    drag(to, "mouseup");
+    drag([4, SCREEN[1] / 2], "");
+    let second = desk.still_screen();
+    let [first_from, first_to] = [from, to].map(|at| brightness(&first, at));
+    let [second_from, second_to] = [from, to].map(|at| brightness(&second, at));
+    assert!(
+        first_from > second_from + 25.0 && second_to > first_to + 25.0,
+        "brightness at the first place {first_from} then {second_from}, at the second {first_to} then {second_to}"
+    );
+    keep(&first, "real_first");
+    keep(&second, "real_second");
+    desk.key("ctrl+q");
+}
+
+/// Two places on the object: in the middle of its picture, on one row.
+fn places(screen: &image::RgbImage) -> ([u32; 2], [u32; 2]) {
+    // The object is what is brighter than the stage, right of the side panel and above the bar.
+    let [left, right] = [440, SCREEN[0] - 40];
+    let [top, bottom] = [120, SCREEN[1] - 160];
+    let bright = |x: u32, y: u32| brightness(screen, [x, y]) > 45.0;
+    let mut best = (0, 0, 0);
+    for y in (top..bottom).step_by(8) {
+        let lit: Vec<u32> = (left..right).step_by(8).filter(|&x| bright(x, y)).collect();
+        if lit.len() > best.2 {
+            best = (lit[0], y, lit.len());
+        }
+    }
+    let (x, y, count) = best;
+    assert!(count > 10, "no object on the screen");
+    let width = 8 * count as u32;
+    ([x + width / 3, y], [x + 2 * width / 3, y])
+}
+
+/// Keeps a picture where the environment asks for it.
+fn keep(screen: &image::RgbImage, name: &str) {
+    if let Some(folder) = std::env::var_os("REKINDLE_SCREENS") {
+        let file = Path::new(&folder).join(format!("{name}.png"));
+        screen.save(file).expect("written");
+    }
+}
