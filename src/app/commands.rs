@@ -39,6 +39,8 @@ pub enum Action {
     PlaceBrightest,
     /// Pressing on the object places the selected lamp behind it.
     PlaceRim,
+    /// Select the next lamp.
+    NextLamp,
     /// Show the next look.
     NextLook,
     /// Close the window.
@@ -283,6 +285,13 @@ pub const ENTRIES: &[Entry] = &[
         Menu::Edit,
         Some((NONE, Key::G)),
         "Pressing on the object lets the selected lamp graze it there from behind",
+    ),
+    entry(
+        Action::NextLamp,
+        "Select the next lamp",
+        Menu::Edit,
+        Some((NONE, Key::N)),
+        "Select the lamp below the selected one, or the first",
     ),
     entry(
         Action::NextLook,

@@ -432,6 +432,7 @@ impl App {
             | Action::PlaceHighlight
             | Action::PlaceBrightest
             | Action::PlaceRim
+            | Action::NextLamp
             | Action::NextLook => {
                 let relighting = self.relighting.as_ref();
                 self.page == Page::Relighting && relighting.is_some_and(|r| r.enabled(action))
@@ -514,6 +515,7 @@ impl App {
             | Action::PlaceHighlight
             | Action::PlaceBrightest
             | Action::PlaceRim
+            | Action::NextLamp
             | Action::NextLook => {
                 if let Some(relighting) = &mut self.relighting {
                     relighting.act(action);
@@ -565,7 +567,8 @@ impl App {
     }
 
     fn save_to(&mut self, path: &Path, then: Option<Then>) {
-        if let Some(relighting) = &self.relighting {
+        if let Some(relighting) = &mut self.relighting {
+            relighting.note_view();
             let document = relighting.document();
             self.projects.save(&mut self.worker, document, path, then);
         }
@@ -611,7 +614,8 @@ impl App {
                 (Err(text), _) => self.notices.add(Weight::Error, "Saving failed", text),
             }
         }
-        if let Some(relighting) = &self.relighting {
+        if let Some(relighting) = &mut self.relighting {
+            relighting.note_view();
             let document = relighting.document();
             if let Some(text) = self.projects.keep(ctx, &mut self.worker, document) {
                 self.notices

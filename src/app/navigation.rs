@@ -110,9 +110,9 @@ enum Movement {
 }
 
 /// Where a view looks from: around a point, with the horizon level.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Place {
-    target: DVec3,
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Place {
+    target: [f64; 3],
     /// About the pole, radians.
     turn: f64,
     /// Above the horizon, radians.
@@ -140,7 +140,7 @@ impl Navigation {
         let centre = mesh.centre().as_dvec3();
         let size = 0.5 * f64::from(mesh.diagonal()).max(1e-9);
         let place = Place {
-            target: centre,
+            target: centre.to_array(),
             turn: 0.6,
             height: 0.35,
             distance: framing(size, FIELD),
@@ -157,7 +157,7 @@ impl Navigation {
         if let Some(camera) = from {
             let seen = navigation.place_of(camera);
             navigation.first = Place {
-                target: centre,
+                target: centre.to_array(),
                 distance: framing(size, FIELD),
                 field: FIELD,
                 ..seen
@@ -187,7 +187,7 @@ impl Navigation {
         let (x, y) = self.horizon();
         let back = -forward;
         Place {
-            target,
+            target: target.to_array(),
             turn: back.dot(y).atan2(back.dot(x)),
             height: back.dot(self.up).clamp(-1.0, 1.0).asin(),
             distance: depth,
@@ -201,9 +201,32 @@ impl Navigation {
         self.now = self.goal;
     }
 
+    /// Where the view goes.
+    pub fn place(&self) -> Place {
+        self.goal
+    }
+
+    /// Goes to a place at once, if it is one.
+    pub fn go_to(&mut self, place: Place) {
+        let Place {
+            target: [x, y, z],
+            turn,
+            height,
+            distance,
+            field,
+        } = place;
+        let sound = [x, y, z, turn, height, distance, field]
+            .iter()
+            .all(|v| v.is_finite());
+        if sound && distance > 0.0 && field > 0.0 && field < 3.0 {
+            self.goal = place;
+            self.now = place;
+        }
+    }
+
     /// Shows the whole object from the present side.
     pub fn frame(&mut self) {
-        self.goal.target = self.centre;
+        self.goal.target = self.centre.to_array();
         self.goal.field = FIELD;
         self.goal.distance = framing(self.size, FIELD);
     }
@@ -215,12 +238,12 @@ impl Navigation {
 
     /// The point that the view turns about.
     pub fn target(&self) -> DVec3 {
-        self.now.target
+        self.now.target.into()
     }
 
     /// Turns about this point from now on.
     pub fn look_at(&mut self, point: DVec3) {
-        self.goal.target = point;
+        self.goal.target = point.to_array();
     }
 
     /// Takes in the mouse over the viewport; `free` where the left button has nothing else to do. Whether the view moves.
@@ -270,8 +293,9 @@ impl Navigation {
         let per_point =
             2.0 * self.goal.distance * (0.5 * self.goal.field).tan() / f64::from(height.max(1.0));
         let axes = self.axes(&self.goal);
-        self.goal.target +=
+        let moved =
             per_point * (-f64::from(delta.x) * axes.x_axis + f64::from(delta.y) * axes.y_axis);
+        self.goal.target = (DVec3::from(self.goal.target) + moved).to_array();
     }
 
     fn zoom(&mut self, factor: f64) {
@@ -285,13 +309,15 @@ impl Navigation {
         let (from, to) = (self.now, self.goal);
         let turn = angle_between(from.turn, to.turn);
         self.now = Place {
-            target: from.target.lerp(to.target, part),
+            target: DVec3::from(from.target)
+                .lerp(to.target.into(), part)
+                .to_array(),
             turn: from.turn + part * turn,
             height: from.height + part * (to.height - from.height),
             distance: from.distance * (to.distance / from.distance).powf(part),
             field: from.field + part * (to.field - from.field),
         };
-        let left = (self.now.target - to.target).length() / self.size
+        let left = DVec3::from(self.now.target).distance(to.target.into()) / self.size
             + angle_between(self.now.turn, to.turn).abs()
             + (self.now.height - to.height).abs()
             + (self.now.distance / to.distance).ln().abs()
@@ -330,7 +356,7 @@ impl Navigation {
             distortion: Distortion::default(),
             world_from_camera: DAffine3::from_mat3_translation(
                 axes,
-                self.now.target + self.now.distance * axes.z_axis,
+                DVec3::from(self.now.target) + self.now.distance * axes.z_axis,
             ),
         }
     }

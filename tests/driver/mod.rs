@@ -31,6 +31,63 @@ pub fn window(open: Option<Source>) -> Window {
         })
 }
 
+/// A window drawn by whatever graphics adapter there is; without one the test fails.
+pub fn drawn(size: [f32; 2], open: Option<Source>) -> Window {
+    Harness::builder()
+        .with_size(egui::vec2(size[0], size[1]))
+        .with_render_cursor(false)
+        .wgpu()
+        .build_eframe(|cc| {
+            let start = Start {
+                open,
+                recovery: None,
+            };
+            App::new(cc, start).expect("threads")
+        })
+}
+
+/// The window's picture once it stands still: nothing is baked or refined any more.
+pub fn still(window: &mut Window) -> image::RgbaImage {
+    /// As long as nothing changes.
+    const STILL: Duration = Duration::from_millis(1500);
+    let begun = Instant::now();
+    let mut since = Instant::now();
+    let mut before = window.render().expect("a picture");
+    while since.elapsed() < STILL {
+        assert!(begun.elapsed() < PATIENCE, "the picture never stands still");
+        std::thread::sleep(Duration::from_millis(20));
+        window.step();
+        let now = window.render().expect("a picture");
+        if now != before {
+            before = now;
+            since = Instant::now();
+        }
+    }
+    before
+}
+
+/// Colours in the viewport, without its rim: row by row.
+pub fn object(window: &mut Window) -> Vec<[u8; 3]> {
+    window.remove_cursor();
+    window.step();
+    let picture = still(window);
+    let rect = window.get_by_label("Viewport").rect().shrink(70.0);
+    let (left, top) = (rect.left() as u32, rect.top() as u32);
+    let (width, height) = (rect.width() as u32, rect.height() as u32);
+    let part = image::imageops::crop_imm(&picture, left, top, width, height);
+    part.to_image()
+        .pixels()
+        .map(|p| [p.0[0], p.0[1], p.0[2]])
+        .collect()
+}
+
+/// Part of the pixels that differ by more than `levels` in a channel.
+pub fn changed(a: &[[u8; 3]], b: &[[u8; 3]], levels: u8) -> f64 {
+    assert_eq!(a.len(), b.len(), "pictures of one size");
+    let differs = |(a, b): &(&[u8; 3], &[u8; 3])| (0..3).any(|c| a[c].abs_diff(b[c]) > levels);
+    a.iter().zip(b).filter(differs).count() as f64 / a.len() as f64
+}
+
 pub fn capture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests/captures")

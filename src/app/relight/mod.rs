@@ -62,6 +62,7 @@ impl Relighting {
         );
         viewport.allow_comparison();
         viewport.set_white(solution.white());
+        viewport.restore(&document.view);
         Self {
             document,
             viewport,
@@ -87,6 +88,11 @@ impl Relighting {
         &mut self.document
     }
 
+    /// Puts the view into the document, to be saved with it.
+    pub fn note_view(&mut self) {
+        self.document.view = self.viewport.state();
+    }
+
     /// The view of the object.
     pub fn viewport(&self) -> &Viewport {
         &self.viewport
@@ -105,7 +111,7 @@ impl Relighting {
     /// Whether a command about lamps and looks can be given.
     pub(super) fn enabled(&self, action: Action) -> bool {
         match action {
-            Action::AddLamp | Action::NextLook | Action::Export => true,
+            Action::AddLamp | Action::NextLamp | Action::NextLook | Action::Export => true,
             _ => self.editing.selected(self.document.look()).is_some(),
         }
     }
@@ -116,6 +122,12 @@ impl Relighting {
         let (document, editing) = (&mut self.document, &mut self.editing);
         match (action, selected) {
             (Action::AddLamp, _) => lamps::add(document, editing),
+            (Action::NextLamp, _) => {
+                let lamps = &document.look().lamps;
+                let at = lamps.iter().position(|l| Some(l.id) == selected);
+                let next = lamps.get(at.map_or(0, |at| at + 1)).or(lamps.first());
+                editing.select(next.map(|l| l.id));
+            }
             (Action::NextLook, _) => looks::next(document),
             (Action::Export, _) => self.question = Some(std::mem::take(&mut self.answered)),
             (Action::MuteLamp, Some(id)) => lamps::mute(document, id),

@@ -11,9 +11,10 @@ use eframe::egui::{
     self, Align2, Button, Color32, Pos2, Rect, RichText, Sense, TextureHandle, TextureOptions, vec2,
 };
 use glam::{DVec2, DVec3, Vec3};
+use serde::{Deserialize, Serialize};
 
 use super::commands::Action;
-use super::navigation::{Habit, Navigation};
+use super::navigation::{Habit, Navigation, Place};
 use super::theme;
 use crate::capture::{Camera, Capture, Mesh};
 use crate::relight::{Lighting, ShadingPoint};
@@ -87,6 +88,16 @@ struct Look {
     mode: Mode,
     /// Whether the histogram is shown.
     histogram: bool,
+}
+
+/// What a project file says of the view.
+#[derive(Serialize, Deserialize)]
+struct Stored {
+    place: Place,
+    exposure: f32,
+    transform: ViewTransform,
+    background: [u8; 3],
+    lit_background: bool,
 }
 
 /// Whose mesh is seen.
@@ -191,6 +202,29 @@ impl Viewport {
             building: false,
             built: Arc::default(),
             last: None,
+        }
+    }
+
+    /// Viewpoint and look, to be stored.
+    pub fn state(&self) -> serde_json::Value {
+        let stored = Stored {
+            place: self.navigation.place(),
+            exposure: self.look.exposure,
+            transform: self.look.transform,
+            background: self.look.background,
+            lit_background: self.look.lit_background,
+        };
+        serde_json::to_value(stored).unwrap_or_default()
+    }
+
+    /// Goes to a stored viewpoint and look; what can't be read is left as it is.
+    pub fn restore(&mut self, stored: &serde_json::Value) {
+        if let Ok(stored) = Stored::deserialize(stored) {
+            self.navigation.go_to(stored.place);
+            self.look.exposure = stored.exposure.clamp(-MOST_STOPS, MOST_STOPS);
+            self.look.transform = stored.transform;
+            self.look.background = stored.background;
+            self.look.lit_background = stored.lit_background;
         }
     }
 
