@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::Vec3;
+use serde_json::Value;
 use thiserror::Error;
 
 use super::exr_bands::{self, Sink};
@@ -52,6 +53,8 @@ pub struct Job {
     pub exposure: f32,
     /// Display values behind the object in PNG files; `None` leaves them transparent.
     pub background: Option<[f32; 3]>,
+    /// Write edits that give the same light on the command line as a JSON file of this name (without extension).
+    pub edits: Option<(String, Vec<Value>)>,
     /// Folder for the files; others in it stay.
     pub folder: PathBuf,
 }
@@ -192,6 +195,7 @@ pub fn export(
                 .map_err(failed)?;
         }
     }
+    writer.edits().map_err(failed)?;
     let files = writer.finish().map_err(failed)?;
     if stop() {
         return Err(ExportError::Stopped);
@@ -303,6 +307,14 @@ impl Writer<'_> {
         animation.frame(frame)?;
         self.animation = Some(animation);
         Ok(())
+    }
+
+    fn edits(&mut self) -> io::Result<()> {
+        let Some((name, edits)) = &self.job.edits else {
+            return Ok(());
+        };
+        let path = self.file(format!("{name}.json"));
+        std::fs::write(path, serde_json::to_vec_pretty(edits)?)
     }
 
     fn finish(self) -> io::Result<Vec<String>> {

@@ -32,6 +32,7 @@ fn job(folder: &Path, lighting: &Lighting) -> Job {
         transform: ViewTransform::Agx,
         exposure: 2.0,
         background: None,
+        edits: None,
         folder: folder.to_owned(),
     }
 }
@@ -283,12 +284,17 @@ fn a_look_and_its_edits_give_the_same_picture() {
         s.look_mut().ambient = 0.5;
     });
     let folder = tempfile::tempdir().unwrap();
+    let lighting = document.light().lighting;
+    let job = Job {
+        png: Some(Depth::Eight),
+        edits: Some(("edits".to_owned(), document.look().edits(document.base()))),
+        ..job(folder.path(), &lighting)
+    };
+    assert_eq!(run(&renderer, &job).unwrap(), 2);
     let path = folder.path().join("edits.json");
-    let edits = document.look().edits(document.base());
-    fs::write(&path, serde_json::to_string(&edits).unwrap()).unwrap();
     let edited = relight::apply(&relight::load(&path).unwrap(), renderer.original()).unwrap();
     let a = renderer.light(&edited).picture(&view());
-    let b = renderer.light(&document.light().lighting).picture(&view());
+    let b = renderer.light(&lighting).picture(&view());
     let brightest = b
         .diffuse
         .iter()

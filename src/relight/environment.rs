@@ -7,7 +7,7 @@ use glam::{DVec3, Quat, Vec2, Vec3};
 
 use super::lighting::{LampNodes, LightNode};
 use crate::capture::read_radiance;
-use crate::hemisphere::direction_from_lat_long;
+use crate::hemisphere::{direction_from_lat_long, lat_long_from_direction};
 
 /// Larger pictures are averaged down to this many columns first: finer than any lobe needs.
 const MAX_COLUMNS: usize = 1024;
@@ -92,6 +92,14 @@ impl LatLong {
             height: small_height,
             radiance: small,
         }
+    }
+
+    /// Radiance from a unit direction, RGB.
+    pub fn radiance(&self, direction: Vec3) -> Vec3 {
+        let uv = lat_long_from_direction(direction);
+        let column = ((uv.x * self.width as f32) as usize).min(self.width - 1);
+        let row = ((uv.y * self.height as f32) as usize).min(self.height - 1);
+        self.radiance[row * self.width + column]
     }
 
     /// Solid angle of a pixel in a row, sr.
@@ -291,5 +299,7 @@ mod tests {
             .max_by(|a, b| a.flux().x.total_cmp(&b.flux().x))
             .unwrap();
         assert!(brightest.direction.angle_between(turn * sun) < 0.1);
+        assert_eq!(sky.radiance(sun), Vec3::splat(1000.0));
+        assert_eq!(sky.radiance(-sun), Vec3::ONE);
     }
 }

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::lamp::{Baseline, LampId};
-use super::look::{LitLook, Look, ProbeLight};
+use super::look::{LitLook, Look, Probe, ProbeLight};
 use crate::solution::Solution;
 
 /// Steps that can be undone.
@@ -265,22 +265,17 @@ impl Document {
         look.light(&self.base, probe.map(AsRef::as_ref))
     }
 
+    /// The probe that surrounds the object in the look that is shown.
+    pub fn surroundings(&self) -> Option<(&Probe, &ProbeLight)> {
+        let look = self.look();
+        let probe = look.probe.as_ref().filter(|_| look.solo.is_none())?;
+        Some((probe, self.probes.get(&probe.file)?))
+    }
+
     /// Makes a probe's picture known, so that looks that name it shine.
     pub fn know_probe(&mut self, probe: Arc<ProbeLight>) {
         self.probes.insert(probe.file().to_owned(), probe);
         self.revision += 1;
-    }
-
-    /// Probes that looks name and whose pictures are not known.
-    pub fn unknown_probes(&self) -> Vec<PathBuf> {
-        let named = self.state.looks.iter().filter_map(|l| l.probe.as_ref());
-        let mut files: Vec<PathBuf> = named
-            .map(|p| p.file.clone())
-            .filter(|f| !self.probes.contains_key(f))
-            .collect();
-        files.sort();
-        files.dedup();
-        files
     }
 
     fn put(&mut self, state: Arc<State>) {

@@ -28,6 +28,7 @@ pub struct Probe {
 #[derive(Debug)]
 pub struct ProbeLight {
     file: PathBuf,
+    picture: LatLong,
     /// Unturned, at the picture's own brightness.
     patches: Vec<LampNodes>,
 }
@@ -65,12 +66,19 @@ impl ProbeLight {
         Ok(Arc::new(Self {
             file: file.to_owned(),
             patches: picture.patches(Quat::IDENTITY, 1.0),
+            picture,
         }))
     }
 
     /// The picture's file.
     pub fn file(&self) -> &Path {
         &self.file
+    }
+
+    /// Radiance from a unit direction, turned about `up` and dimmed.
+    pub fn radiance(&self, probe: &Probe, up: Vec3, direction: Vec3) -> Vec3 {
+        let back = Quat::from_axis_angle(up, -probe.rotation);
+        self.picture.radiance(back * direction) * probe.stops.exp2()
     }
 
     /// Its light, turned about `up` and dimmed.

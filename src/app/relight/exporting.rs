@@ -42,6 +42,7 @@ pub(super) struct Question {
     frames: u32,
     frames_per_second: u16,
     transparent: bool,
+    edits: bool,
 }
 
 /// What the picture on the screen is like.
@@ -83,6 +84,7 @@ impl Default for Question {
             frames: 48,
             frames_per_second: 24,
             transparent: false,
+            edits: false,
         }
     }
 }
@@ -272,6 +274,8 @@ impl Question {
             let transparent = egui::Checkbox::new(&mut self.transparent, "Transparent background");
             ui.add_enabled(shown, transparent)
                 .on_hover_text("Without it, PNG files have the grey of the viewport");
+            ui.checkbox(&mut self.edits, "Edits for the command line")
+                .on_hover_text("A JSON file with which rekindle render --edits gives this light");
         });
         ui.end_row();
     }
@@ -336,6 +340,10 @@ impl Question {
             }),
             exr: self.exr,
             layers: self.layers,
+            edits: self.edits.then(|| {
+                let edits = document.look().edits(document.base());
+                (format!("{name}_edits"), edits)
+            }),
             animation: (moving && self.animation).then_some((name, self.frames_per_second)),
             transform: screen.transform,
             exposure: screen.exposure,

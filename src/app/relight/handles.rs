@@ -168,7 +168,7 @@ impl Handles {
         let response = ui.interact(rect, id, Sense::CLICK | Sense::DRAG);
         let name = format!("{} handle", lamp.name);
         response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, name.clone()));
-        grab(&response, editing, lamp.id);
+        grab(ui, &response, document, editing, lamp);
         let pointer = response
             .interact_pointer_pos()
             .filter(|_| response.dragged());

@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use eframe::egui::{self, Color32, Pos2, Sense, Stroke, vec2};
-use glam::Vec3;
+use glam::{Quat, Vec3};
 
 use super::editing::{Editing, hue, with_lamp};
 use crate::app::Shared;
 use crate::app::disc::{self, Disc, DiscTexture};
 use crate::hemisphere::{FromAbove, HemisphereGrid, Picture, from_above_axes};
 use crate::relight::{LampNodes, LightNode, Lighting};
-use crate::studio::{Document, Lamp, LampId};
+use crate::studio::{Document, Lamp};
 
 /// Side of the picture in pixels.
 const SIDE: u32 = 192;
@@ -48,7 +48,14 @@ impl LitDisc {
         let revision = document.revision();
         let old = self.picture.as_ref().is_none_or(|(of, _)| *of != revision);
         if let Some(from_above) = self.from_above.as_ref().filter(|_| old) {
-            let nodes = on_grid(&solution.grid, &document.light().lighting);
+            let mut nodes = on_grid(&solution.grid, &document.light().lighting);
+            if let Some((probe, light)) = document.surroundings() {
+                let up = solution.grid.up;
+                for (node, direction) in nodes.iter_mut().zip(&solution.grid.directions) {
+                    let all = Vec3::from(*node) + light.radiance(probe, up, *direction);
+                    *node = all.to_array();
+                }
+            }
             self.picture = Some((revision, Arc::new(from_above.picture(&nodes))));
         }
         let exposure = shared.settings.hemisphere;
@@ -103,7 +110,7 @@ fn mark(
     let response = ui.interact(rect, id, Sense::CLICK | Sense::DRAG);
     let name = format!("{} on the hemisphere", lamp.name);
     response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, name.clone()));
-    grab(&response, editing, lamp.id);
+    grab(ui, &response, document, editing, lamp);
     if let Some(pointer) = response
         .interact_pointer_pos()
         .filter(|_| response.dragged())
@@ -129,14 +136,59 @@ fn mark(
     response.on_hover_text(format!("{}{where_it_is}: drag to move", lamp.name));
 }
 
-/// Selects a lamp whose mark is pressed, and lights up one that the pointer is at.
-pub(super) fn grab(response: &egui::Response, editing: &mut Editing, id: LampId) {
-    if response.hovered() || response.dragged() {
-        editing.hovered = Some(id);
+/// Selects a lamp whose mark is pressed, lights up one that the pointer is at, and moves one that has the focus by the arrow
+/// keys.
+pub(super) fn grab(
+    ui: &egui::Ui,
+    response: &egui::Response,
+    document: &mut Document,
+    editing: &mut Editing,
+    lamp: &Lamp,
+) {
+    /// Radians by which a key moves a lamp.
+    const STEP: f32 = 0.035;
+    if response.hovered() || response.dragged() || response.has_focus() {
+        editing.hovered = Some(lamp.id);
     }
     if response.clicked() || response.drag_started() {
-        editing.select(Some(id));
+        editing.select(Some(lamp.id));
+        response.request_focus();
     }
+    if !response.has_focus() {
+        return;
+    }
+    let filter = egui::EventFilter {
+        horizontal_arrows: true,
+        vertical_arrows: true,
+        ..egui::EventFilter::default()
+    };
+    ui.memory_mut(|m| m.set_focus_lock_filter(response.id, filter));
+    let [left, right, up, down] = ui.input(|i| {
+        use egui::Key::{ArrowDown, ArrowLeft, ArrowRight, ArrowUp};
+        [ArrowLeft, ArrowRight, ArrowUp, ArrowDown].map(|key| i.num_presses(key) as f32)
+    });
+    let (turn, rise) = (STEP * (left - right), STEP * (up - down));
+    if turn != 0.0 || rise != 0.0 {
+        let pole = document.base().lighting.up;
+        let label = format!("Move {}", lamp.name);
+        let direction = nudged(lamp.direction, pole, turn, rise);
+        document.edit(&label, |s, _| {
+            with_lamp(s, lamp.id, |l| l.direction = direction);
+        });
+    }
+}
+
+/// A direction turned about the pole and raised towards it, radians; never quite to the pole, where turning ends.
+fn nudged(direction: Vec3, pole: Vec3, turn: f32, rise: f32) -> Vec3 {
+    const NEAREST: f32 = 0.02;
+    let direction = Quat::from_axis_angle(pole, turn) * direction;
+    let Some(flat) = direction.reject_from_normalized(pole).try_normalize() else {
+        return direction;
+    };
+    let height = direction.dot(pole).clamp(-1.0, 1.0).asin() + rise;
+    let most = std::f32::consts::FRAC_PI_2 - NEAREST;
+    let height = height.clamp(-most, most);
+    (height.cos() * flat + height.sin() * pole).normalize_or(direction)
 }
 
 /// How a lamp's mark is drawn.
@@ -174,7 +226,7 @@ pub(super) fn draw_mark(painter: &egui::Painter, at: Pos2, hue: Color32, style: 
     }
 }
 
-/// A lighting's radiance on the nodes of the estimate. Light below the horizon is not on it.
+/// The radiance of lamps and stray light on the nodes of the estimate. Light below the horizon is not on it.
 fn on_grid(grid: &HemisphereGrid, lighting: &Lighting) -> Vec<[f32; 3]> {
     let mut radiance = vec![Vec3::ZERO; grid.directions.len()];
     let mut put = |node: &LightNode| {
@@ -185,9 +237,6 @@ fn on_grid(grid: &HemisphereGrid, lighting: &Lighting) -> Vec<[f32; 3]> {
     let lamps: Vec<&LampNodes> = lighting.lamps.iter().filter(|l| !l.muted).collect();
     lamps.iter().flat_map(|l| &l.nodes).for_each(&mut put);
     lighting.remainder.iter().for_each(&mut put);
-    for patch in &lighting.environment {
-        patch.nodes.iter().for_each(&mut put);
-    }
     radiance.into_iter().map(|r| r.to_array()).collect()
 }
 
@@ -211,6 +260,18 @@ mod tests {
         let without = total(&lighting);
         lighting.lamps[1].turn_towards(Vec3::NEG_Y);
         assert!(total(&lighting).length() < without.length());
+    }
+
+    #[test]
+    fn keys_move_a_lamp_round_and_up() {
+        let direction = Vec3::new(0.6, 0.64, 0.48);
+        let there = nudged(direction, Vec3::Y, 0.1, 0.0);
+        assert!((there.y - direction.y).abs() < 1e-6);
+        assert!((there.angle_between(direction) - 0.1 * 0.768_37).abs() < 1e-3);
+        let up = nudged(direction, Vec3::Y, 0.0, 0.1);
+        assert!((up.y.asin() - direction.y.asin() - 0.1).abs() < 1e-4);
+        let top = nudged(direction, Vec3::Y, 0.0, 9.0);
+        assert!(top.y > 0.999 && top.y < 1.0);
     }
 
     #[test]

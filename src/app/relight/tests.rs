@@ -187,6 +187,18 @@ fn a_lamp_is_muted_dragged_exported_and_comes_back_with_the_project() {
     );
     assert_eq!(document(&window).undo_label(), Some("Move Light 1"));
 
+    // From another side, with more exposure: the project keeps the view too.
+    let view = window.get_by_label("Viewport").rect();
+    drag(
+        &mut window,
+        view.left_bottom() + vec2(20.0, -20.0),
+        view.left_bottom() + vec2(140.0, -60.0),
+    );
+    key(&mut window, Modifiers::NONE, egui::Key::E);
+    wait(&mut window, "rest", |w| {
+        let relighting = w.state().relighting.as_ref().expect("a page");
+        !relighting.viewport.is_moving()
+    });
     let first = export(&mut window, &folder.path().join("first"));
     key(&mut window, Modifiers::COMMAND, egui::Key::S);
     give_path(&mut window, &folder.path().join("evening"));
@@ -287,6 +299,10 @@ fn every_setting_of_a_lamp_is_a_step() {
     assert_eq!(document(&window).state().active, 1);
     key(&mut window, Modifiers::NONE, egui::Key::L);
     assert_eq!(document(&window).state().active, 0);
+    window.set_size(vec2(1024.0, 640.0));
+    look_at(&mut window, "small.png");
+    key(&mut window, Modifiers::COMMAND, egui::Key::T);
+    look_at(&mut window, "light.png");
     let mut steps = Vec::new();
     while let Some(label) = document(&window).undo_label().map(str::to_owned) {
         key(&mut window, Modifiers::COMMAND, egui::Key::Z);
@@ -295,4 +311,62 @@ fn every_setting_of_a_lamp_is_a_step() {
     assert_eq!(steps.len(), 11, "each was one step: {steps:?}");
     assert!(document(&window).state() == &start);
     window.check_accessibility();
+}
+
+#[test]
+fn a_light_probe_replaces_the_light_and_can_be_turned() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let probe = folder.path().join("studio.exr");
+    let pixels: Vec<[f32; 3]> = (0..64 * 32)
+        .map(|i| {
+            if i % 64 < 8 {
+                [30.0, 25.0, 20.0]
+            } else {
+                [0.5; 3]
+            }
+        })
+        .collect();
+    crate::solution::write_rgb(&probe, 64, &pixels).expect("written");
+    let mut window = window(&saved_solution(folder.path()));
+    click(&mut window, "Choose…");
+    give_path(&mut window, &probe);
+    wait_for(&mut window, "Remove");
+    let look = document(&window).look().clone();
+    assert!(look.lamps.iter().all(|l| l.muted) && !look.remainder);
+    assert!(!document(&window).light().lighting.environment.is_empty());
+    set(&mut window, "Turn of the light probe", 90.0);
+    let turned = document(&window).look().probe.as_ref().map(|p| p.rotation);
+    assert!((turned.unwrap_or_default() - 90_f32.to_radians()).abs() < 1e-5);
+    look_at(&mut window, "probe.png");
+    key(&mut window, Modifiers::COMMAND, egui::Key::Z);
+    key(&mut window, Modifiers::COMMAND, egui::Key::Z);
+    assert!(document(&window).look().probe.is_none() && !document(&window).is_modified());
+    // What is no picture is a message, and the light stays.
+    std::fs::write(&probe, "no picture").expect("written");
+    click(&mut window, "Choose…");
+    give_path(&mut window, &probe);
+    wait_for(&mut window, "The light probe can't be used");
+    assert!(!document(&window).is_modified());
+}
+
+#[test]
+fn an_export_is_stopped_and_leaves_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    key(&mut window, Modifiers::COMMAND, egui::Key::E);
+    wait_for(&mut window, "Choose folder…");
+    click(&mut window, "A turn around the object");
+    look_at(&mut window, "export_turn.png");
+    click(&mut window, "Choose folder…");
+    let target = folder.path().join("film");
+    give_path(&mut window, &target);
+    wait(&mut window, "progress", |w| {
+        w.query_all_by_label_contains("Exporting bumps_0")
+            .next()
+            .is_some()
+    });
+    look_at(&mut window, "exporting.png");
+    click(&mut window, "Stop");
+    wait_for(&mut window, "Export stopped");
+    assert!(!target.exists(), "nothing is left");
 }

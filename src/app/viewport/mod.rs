@@ -205,6 +205,12 @@ impl Viewport {
         }
     }
 
+    /// Whether the view is still on its way.
+    #[cfg(test)]
+    pub fn is_moving(&self) -> bool {
+        self.navigation.is_moving()
+    }
+
     /// Viewpoint and look, to be stored.
     pub fn state(&self) -> serde_json::Value {
         let stored = Stored {
