@@ -8,12 +8,13 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use faer::linalg::matmul::triangular::{BlockStructure, matmul};
-use faer::{Accum, Mat, MatRef, Par};
+use faer::{Accum, Mat, MatMut, MatRef, Par};
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::cells::CellGeometry;
-use super::model::{Brdf, SpecularModel, ViewTerms};
+use super::lobes::{CellLobes, PointLobes};
+use super::model::Brdf;
 use super::observations::{Observations, Point};
 
 /// Points are always cut into this many runs, so that sums come out the same on any number of threads.
@@ -25,6 +26,8 @@ const BLOCK: usize = 48;
 
 /// A matrix entry below this share of the block's largest is taken as zero.
 const NEGLIGIBLE: f32 = 1e-5;
+/// Past this part of all columns, multiplying them all costs less than picking.
+const FEW_LEFT_OUT: f32 = 0.85;
 
 /// Points, cells and what light of each cell reaches each point.
 #[derive(Clone, Debug)]
@@ -71,14 +74,6 @@ pub struct Prediction {
     pub by_sigma: Vec<[f32; 3]>,
 }
 
-/// Light reaching one point: directions to the cells, and how much of each arrives.
-struct Arrival {
-    x: Vec<f32>,
-    y: Vec<f32>,
-    z: Vec<f32>,
-    gain: Vec<f32>,
-}
-
 impl Design<'_> {
     fn cells(&self) -> usize {
         self.geometry.directions.len()
@@ -94,39 +89,39 @@ impl Design<'_> {
             .collect()
     }
 
-    fn arrival(&self, index: usize, point: &Point, out: &mut Arrival) {
+    /// Computes the light of all cells at a point.
+    fn light(&self, lobes: &CellLobes<'_>, index: usize, out: &mut PointLobes) {
         let n = self.cells();
+        let point = &self.observations.points[index];
         let visibility = self.visibility.get(index * n..(index + 1) * n);
-        for c in 0..n {
-            let (direction, fall_off) =
-                light_from(self.near, self.geometry.directions[c], point.position);
-            let seen = visibility.map_or(1.0, |v| v[c]);
-            (out.x[c], out.y[c], out.z[c]) = direction.into();
-            out.gain[c] = if point.normal.dot(direction) > 0.0 {
-                self.geometry.solid_angles[c] * fall_off * seen
-            } else {
-                0.0
-            };
-        }
+        lobes.light(point.position, point.normal, visibility, out);
+    }
+
+    fn lobes(&self, brdf: &Brdf) -> CellLobes<'_> {
+        CellLobes::new(brdf, &self.geometry, self.near)
     }
 
     /// The eliminated normal equations for weights per row.
     pub fn normal_equations(&self, brdf: &Brdf, weights: &[f32]) -> NormalEquations {
         let n = self.cells();
-        let parts: Vec<(Mat<f64>, [Vec<f64>; 3])> = self
+        let lobes = self.lobes(brdf);
+        let parts: Vec<(Lower, [Vec<f64>; 3])> = self
             .runs()
             .into_par_iter()
-            .map(|(first, last)| self.run_equations(brdf, weights, first, last))
+            .map(|(first, last)| self.run_equations(&lobes, weights, first, last))
             .collect();
         let mut gram = Mat::<f64>::zeros(n, n);
         let mut rhs = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
-        for (g, r) in &parts {
-            for j in 0..n {
-                for i in j..n {
-                    gram[(i, j)] += g[(i, j)];
-                }
+        for j in 0..n {
+            let column = &mut gram.col_as_slice_mut(j)[j..];
+            for (part, _) in &parts {
+                add(column, &part.column(j)[j..]);
             }
-            add(&mut rhs, r);
+        }
+        for (_, part) in &parts {
+            for (sum, part) in rhs.iter_mut().zip(part) {
+                add(sum, part);
+            }
         }
         for j in 0..n {
             for i in 0..j {
@@ -138,15 +133,15 @@ impl Design<'_> {
 
     fn run_equations(
         &self,
-        brdf: &Brdf,
+        lobes: &CellLobes<'_>,
         weights: &[f32],
         first: usize,
         last: usize,
-    ) -> (Mat<f64>, [Vec<f64>; 3]) {
+    ) -> (Lower, [Vec<f64>; 3]) {
         let n = self.cells();
-        let mut gram = Mat::<f64>::zeros(n, n);
+        let mut gram = Lower::new(n);
         let mut rhs = [vec![0.0_f64; n], vec![0.0; n], vec![0.0; n]];
-        let mut arrival = Arrival::new(n);
+        let mut light = lobes.point();
         let mut block: Vec<f32> = Vec::new();
         for start in (first..last).step_by(BLOCK) {
             if self.stop.load(Ordering::Relaxed) {
@@ -154,9 +149,8 @@ impl Design<'_> {
             }
             block.clear();
             for index in start..(start + BLOCK).min(last) {
-                let point = &self.observations.points[index];
-                self.arrival(index, point, &mut arrival);
-                self.fill_point(brdf, point, &arrival, &mut block);
+                self.light(lobes, index, &mut light);
+                self.fill_point(lobes, index, &light, &mut block);
             }
             let (columns, mut compact) = compress(&block, n);
             let m = columns.len();
@@ -167,9 +161,9 @@ impl Design<'_> {
                 let part = &mut compact[from * m..(from + point.rows.len()) * m];
                 from += point.rows.len();
                 let measured = self.observations.radiance(point);
-                self.eliminate(brdf, weights, point, &measured, part, &mut sums);
+                self.eliminate(&lobes.brdf(), weights, point, &measured, part, &mut sums);
             }
-            accumulate(&mut gram, &compact, &columns);
+            gram.add_product(&compact, &columns);
             for (all, own) in rhs.iter_mut().zip(&sums) {
                 for (&c, v) in columns.iter().zip(own) {
                     all[c] += v;
@@ -249,20 +243,21 @@ impl Design<'_> {
     /// `aᵀ W z` for each cell's eliminated column a and each channel of `values`, one RGB value per row.
     pub fn correlate(&self, brdf: &Brdf, weights: &[f32], values: &[[f32; 3]]) -> [Vec<f64>; 3] {
         let n = self.cells();
+        let lobes = self.lobes(brdf);
         let parts: Vec<[Vec<f64>; 3]> = self
             .runs()
             .into_par_iter()
             .map(|(first, last)| {
                 let mut sums = [vec![0.0_f64; n], vec![0.0; n], vec![0.0; n]];
-                let mut arrival = Arrival::new(n);
+                let mut light = lobes.point();
                 let mut block = Vec::new();
                 for index in first..last {
                     if self.stop.load(Ordering::Relaxed) {
                         break;
                     }
                     let point = &self.observations.points[index];
-                    self.arrival(index, point, &mut arrival);
-                    self.fill_point(brdf, point, &arrival, &mut block);
+                    self.light(&lobes, index, &mut light);
+                    self.fill_point(&lobes, index, &light, &mut block);
                     self.eliminate(
                         brdf,
                         weights,
@@ -278,26 +273,28 @@ impl Design<'_> {
             .collect();
         let mut all = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
         for part in &parts {
-            add(&mut all, part);
+            for (sum, part) in all.iter_mut().zip(part) {
+                add(sum, part);
+            }
         }
         all
     }
 
     /// Appends one row of the matrix per row of the point.
-    fn fill_point(&self, brdf: &Brdf, point: &Point, arrival: &Arrival, block: &mut Vec<f32>) {
+    fn fill_point(
+        &self,
+        lobes: &CellLobes<'_>,
+        index: usize,
+        light: &PointLobes,
+        block: &mut Vec<f32>,
+    ) {
         let n = self.cells();
+        let point = &self.observations.points[index];
         for row in &self.observations.rows[point.rows.clone()] {
             let from = block.len();
             block.resize(from + n, 0.0);
-            let terms = brdf.view_terms(point.normal, row.to_camera);
-            fill_row(
-                brdf,
-                &terms,
-                arrival,
-                &self.geometry.spread,
-                &mut block[from..],
-                None,
-            );
+            let terms = lobes.brdf().view_terms(point.normal, row.to_camera);
+            lobes.row(&terms, light, &mut block[from..], None);
         }
     }
 
@@ -307,28 +304,21 @@ impl Design<'_> {
             .filter(|&c| radiance[c].iter().any(|&v| v != 0.0))
             .collect();
         let design = self.restricted(&lit);
+        let lobes = design.lobes(brdf);
         let channels = [0, 1, 2].map(|k| lit.iter().map(|&c| radiance[c][k]).collect::<Vec<f32>>());
         let parts: Vec<Prediction> = design
             .runs()
             .into_par_iter()
             .map(|(first, last)| {
                 let mut part = Prediction::default();
-                let mut arrival = Arrival::new(lit.len());
+                let mut light = lobes.point();
                 let (mut value, mut by_sigma) = (vec![0.0; lit.len()], vec![0.0; lit.len()]);
                 for index in first..last {
                     let point = &self.observations.points[index];
-                    design.arrival(index, point, &mut arrival);
+                    design.light(&lobes, index, &mut light);
                     for row in &self.observations.rows[point.rows.clone()] {
                         let terms = brdf.view_terms(point.normal, row.to_camera);
-                        let spread = &design.geometry.spread;
-                        fill_row(
-                            brdf,
-                            &terms,
-                            &arrival,
-                            spread,
-                            &mut value,
-                            Some(&mut by_sigma),
-                        );
+                        lobes.row(&terms, &light, &mut value, Some(&mut by_sigma));
                         part.value.push(channels.each_ref().map(|l| dot(&value, l)));
                         part.by_sigma
                             .push(channels.each_ref().map(|l| dot(&by_sigma, l)));
@@ -346,11 +336,9 @@ impl Design<'_> {
     }
 }
 
-fn add(sums: &mut [Vec<f64>; 3], part: &[Vec<f64>; 3]) {
-    for (sum, part) in sums.iter_mut().zip(part) {
-        for (s, p) in sum.iter_mut().zip(part) {
-            *s += p;
-        }
+fn add(sums: &mut [f64], part: &[f64]) {
+    for (s, p) in sums.iter_mut().zip(part) {
+        *s += p;
     }
 }
 
@@ -358,157 +346,20 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-impl Arrival {
-    fn new(n: usize) -> Self {
-        Self {
-            x: vec![0.0; n],
-            y: vec![0.0; n],
-            z: vec![0.0; n],
-            gain: vec![0.0; n],
-        }
-    }
-
-    #[inline(always)]
-    fn slices(&self, n: usize) -> (&[f32], &[f32], &[f32], &[f32]) {
-        (&self.x[..n], &self.y[..n], &self.z[..n], &self.gain[..n])
-    }
-}
-
-/// Unit direction from `position` towards a light in the direction `direction` from the hemisphere's centre, and
-/// its fall-off (R/|p − x|)²; `near` holds centre and radius of a finite hemisphere.
-#[inline(always)]
-pub fn light_from(near: Option<(Vec3, f32)>, direction: Vec3, position: Vec3) -> (Vec3, f32) {
-    match near {
-        None => (direction, 1.0),
-        Some((centre, radius)) => {
-            let to_light = centre + radius * direction - position;
-            let squared = to_light.length_squared().max(1e-12 * radius * radius);
-            (to_light / squared.sqrt(), radius * radius / squared)
-        }
-    }
-}
-
-/// A lobe blurred by the extent of a cell, as its mean over the cell: the Gaussian of variance σ² becomes wider and, as
-/// its integral stays, lower.
-#[derive(Clone, Copy)]
-struct Blurred {
-    brdf: Brdf,
-    /// Its height over the sharp lobe's, σ²/σ_blurred².
-    height: f32,
-    /// dσ_blurred/dσ.
-    by_sigma: f32,
-}
-
-impl Blurred {
-    #[inline(always)]
-    fn new(brdf: &Brdf, spread: f32) -> Self {
-        let variance = brdf.sigma * brdf.sigma;
-        let inverse = 1.0 / (variance + spread);
-        let ratio = (variance * inverse).sqrt();
-        Self {
-            brdf: Brdf {
-                sigma: brdf.sigma / ratio,
-                ..*brdf
-            },
-            height: variance * inverse,
-            by_sigma: ratio,
-        }
-    }
-}
-
-/// One row of the matrix: gain × lobe for each cell, and its derivative by σ if wanted.
-struct RowKernel<'a, const MICROFACET: bool> {
-    sigma: f32,
-    terms: &'a ViewTerms,
-    arrival: &'a Arrival,
-    spread: &'a [f32],
-    value: &'a mut [f32],
-    by_sigma: Option<&'a mut [f32]>,
-}
-
-impl<const MICROFACET: bool> pulp::WithSimd for RowKernel<'_, MICROFACET> {
-    type Output = ();
-
-    /// The model is a constant, so that the loops are free of branches and become vector code of the widest kind
-    /// that the processor has.
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
-        let model = if MICROFACET {
-            SpecularModel::Microfacet
-        } else {
-            SpecularModel::Paper
-        };
-        let brdf = Brdf {
-            model,
-            sigma: self.sigma,
-        };
-        let n = self.value.len();
-        let (x, y, z, gain) = self.arrival.slices(n);
-        let spread = &self.spread[..n];
-        if let Some(by_sigma) = self.by_sigma {
-            let by_sigma = &mut by_sigma[..n];
-            for c in 0..n {
-                let blurred = Blurred::new(&brdf, spread[c]);
-                let lobe = blurred
-                    .brdf
-                    .lobe_with_derivative(self.terms, Vec3::new(x[c], y[c], z[c]));
-                let gain = gain[c] * blurred.height;
-                self.value[c] = gain * lobe.value;
-                // The height's own derivative is 2/σ · height · (1 − height).
-                by_sigma[c] = gain
-                    * (blurred.by_sigma * lobe.by_sigma
-                        + 2.0 / self.sigma * (1.0 - blurred.height) * lobe.value);
-            }
-        } else {
-            for c in 0..n {
-                let blurred = Blurred::new(&brdf, spread[c]);
-                let lobe = blurred.brdf.lobe(self.terms, Vec3::new(x[c], y[c], z[c]));
-                self.value[c] = gain[c] * blurred.height * lobe;
-            }
-        }
-    }
-}
-
-fn fill_row(
-    brdf: &Brdf,
-    terms: &ViewTerms,
-    arrival: &Arrival,
-    spread: &[f32],
-    value: &mut [f32],
-    by_sigma: Option<&mut [f32]>,
-) {
-    let sigma = brdf.sigma;
-    let arch = pulp::Arch::new();
-    match brdf.model {
-        SpecularModel::Paper => arch.dispatch(RowKernel::<false> {
-            sigma,
-            terms,
-            arrival,
-            spread,
-            value,
-            by_sigma,
-        }),
-        SpecularModel::Microfacet => arch.dispatch(RowKernel::<true> {
-            sigma,
-            terms,
-            arrival,
-            spread,
-            value,
-            by_sigma,
-        }),
-    }
-}
-
-/// The columns of a block of rows of `n` values that hold more than nothing, and the rows with these columns only.
+/// The columns of a block of rows of `n` values that hold more than nothing, and the rows with these columns only; all
+/// columns where that leaves out few.
 fn compress(block: &[f32], n: usize) -> (Vec<usize>, Vec<f32>) {
     let mut largest = vec![0.0_f32; n];
     for row in block.chunks_exact(n.max(1)) {
-        for (l, a) in largest.iter_mut().zip(row) {
-            *l = l.max(*a);
+        for (l, &a) in largest.iter_mut().zip(row) {
+            *l = if a > *l { a } else { *l };
         }
     }
     let threshold = NEGLIGIBLE * largest.iter().fold(0.0_f32, |m, &l| m.max(l));
     let columns: Vec<usize> = (0..n).filter(|&c| largest[c] > threshold).collect();
+    if columns.len() as f32 > FEW_LEFT_OUT * n as f32 {
+        return ((0..n).collect(), block.to_vec());
+    }
     let mut compact = Vec::with_capacity(columns.len() * block.len() / n.max(1));
     for row in block.chunks_exact(n.max(1)) {
         compact.extend(columns.iter().map(|&c| row[c]));
@@ -516,21 +367,62 @@ fn compress(block: &[f32], n: usize) -> (Vec<usize>, Vec<f32>) {
     (columns, compact)
 }
 
-/// Adds `blockᵀ block` to the lower half of `gram`; `block` holds rows of the values of `columns`, which ascend.
-fn accumulate(gram: &mut Mat<f64>, block: &[f32], columns: &[usize]) {
-    let n = columns.len();
-    if n == 0 {
-        return;
+/// The lower half of a symmetric matrix in the making.
+struct Lower {
+    /// Column by column, n × n; the upper half is not used.
+    values: Vec<f64>,
+    n: usize,
+    /// Room for a block's product.
+    product: Vec<f64>,
+}
+
+impl Lower {
+    fn new(n: usize) -> Self {
+        Self {
+            values: vec![0.0; n * n],
+            n,
+            product: Vec::new(),
+        }
     }
-    let rows = block.len() / n;
-    let block: Vec<f64> = block.iter().map(|&a| f64::from(a)).collect();
+
+    fn column(&self, j: usize) -> &[f64] {
+        &self.values[j * self.n..(j + 1) * self.n]
+    }
+
+    /// Adds `blockᵀ block`; `block` holds rows of the values of `columns`, which ascend.
+    fn add_product(&mut self, block: &[f32], columns: &[usize]) {
+        let (m, n) = (columns.len(), self.n);
+        if m == 0 {
+            return;
+        }
+        let rows = block.len() / m;
+        let block: Vec<f64> = block.iter().map(|&a| f64::from(a)).collect();
+        if m == n {
+            let sum = MatMut::from_column_major_slice_mut(&mut self.values, n, n);
+            add_gram(sum, &block, rows, Accum::Add);
+            return;
+        }
+        self.product.resize(m * m, 0.0);
+        let product = MatMut::from_column_major_slice_mut(&mut self.product, m, m);
+        add_gram(product, &block, rows, Accum::Replace);
+        for (j, &column) in columns.iter().enumerate() {
+            let sum = &mut self.values[column * n..(column + 1) * n];
+            let product = &self.product[j * m..(j + 1) * m];
+            for (&i, p) in columns[j..].iter().zip(&product[j..]) {
+                sum[i] += p;
+            }
+        }
+    }
+}
+
+/// The lower half of `blockᵀ block`, added to `sum` or in its place; `block` holds `rows` rows.
+fn add_gram(sum: MatMut<'_, f64>, block: &[f64], rows: usize, accum: Accum) {
     // Row-major rows × n is column-major n × rows.
-    let transposed = MatRef::from_column_major_slice(&block, n, rows);
-    let mut product = Mat::<f64>::zeros(n, n);
+    let transposed = MatRef::from_column_major_slice(block, block.len() / rows, rows);
     matmul(
-        product.as_mut(),
+        sum,
         BlockStructure::TriangularLower,
-        Accum::Replace,
+        accum,
         transposed,
         BlockStructure::Rectangular,
         transposed.transpose(),
@@ -538,9 +430,4 @@ fn accumulate(gram: &mut Mat<f64>, block: &[f32], columns: &[usize]) {
         1.0_f64,
         Par::Seq,
     );
-    for j in 0..n {
-        for i in j..n {
-            gram[(columns[i], columns[j])] += product[(i, j)];
-        }
-    }
 }

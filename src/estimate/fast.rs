@@ -13,7 +13,8 @@ use std::time::Instant;
 use glam::Vec3;
 
 use super::cells::{Cell, Pyramid};
-use super::design::{Design, light_from};
+use super::design::Design;
+use super::lobes::light_from;
 use super::lamps::fill_compact_lamps;
 use super::model::{Brdf, SpecularModel};
 use super::observations::{Observations, Row, Sampling};

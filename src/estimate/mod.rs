@@ -10,6 +10,7 @@ mod design;
 mod diagnose;
 mod fast;
 mod lamps;
+mod lobes;
 mod model;
 mod observations;
 mod observer;

@@ -55,6 +55,8 @@ pub struct LobeValue {
 pub struct ViewTerms {
     normal: Vec3,
     view: Vec3,
+    /// n·v.
+    cos_normal: f32,
     cos_view: f32,
     /// Masking towards the viewer over cos θ_r.
     scale: f32,
@@ -65,17 +67,13 @@ pub struct ViewTerms {
 impl Brdf {
     /// The terms of a lobe seen from the unit direction `view` on a surface with the unit `normal`.
     pub fn view_terms(&self, normal: Vec3, view: Vec3) -> ViewTerms {
-        let cos_view = normal.dot(view).max(MIN_COS_VIEW);
-        let masking = match self.model {
-            SpecularModel::Paper => LobeValue {
-                value: 1.0,
-                by_sigma: 0.0,
-            },
-            SpecularModel::Microfacet => masking(cos_view, self.sigma),
-        };
+        let cos_normal = normal.dot(view);
+        let cos_view = cos_normal.max(MIN_COS_VIEW);
+        let masking = self.model.masking(cos_view, self.sigma);
         ViewTerms {
             normal,
             view,
+            cos_normal,
             cos_view,
             scale: masking.value / cos_view,
             log_scale_by_sigma: masking.by_sigma / masking.value,
@@ -92,38 +90,17 @@ impl Brdf {
     #[inline(always)]
     pub fn lobe_with_derivative(&self, terms: &ViewTerms, light: Vec3) -> LobeValue {
         let cos_light = terms.normal.dot(light);
-        let cos_between = light.dot(terms.view);
-        // |l + v|² = 2 + 2 l·v, and n·h = (n·l + n·v)/|l + v|.
-        let inverse_length = 1.0 / (2.0 + 2.0 * cos_between).max(1e-12).sqrt();
-        let cos_half =
-            ((cos_light + terms.normal.dot(terms.view)) * inverse_length).clamp(1e-3, 1.0);
+        let facets = terms.facets(self.model, light, cos_light);
+        let masking = self.model.masking(cos_light, self.sigma);
         let variance = self.sigma * self.sigma;
         let lit = if cos_light > 0.0 { terms.scale } else { 0.0 };
-        match self.model {
-            SpecularModel::Paper => {
-                let angle_squared = squared_arccos(cos_half);
-                let value = lit * exp_negative(-0.5 * angle_squared / variance);
-                LobeValue {
-                    value,
-                    by_sigma: value * angle_squared / (variance * self.sigma),
-                }
-            }
-            SpecularModel::Microfacet => {
-                let cos_squared = cos_half * cos_half;
-                let tan_squared = (1.0 - cos_squared) / cos_squared;
-                // l·h = |l + v|/2.
-                let fresnel = fresnel(0.5 / inverse_length) * INVERSE_NORMAL_FRESNEL;
-                let light_masking = masking(cos_light.max(1e-4), self.sigma);
-                let value = lit * fresnel * light_masking.value / (cos_squared * cos_squared)
-                    * exp_negative(-0.5 * tan_squared / variance);
-                let log_derivative = tan_squared / (variance * self.sigma)
-                    + light_masking.by_sigma / light_masking.value
-                    + terms.log_scale_by_sigma;
-                LobeValue {
-                    value,
-                    by_sigma: value * log_derivative,
-                }
-            }
+        let value = lit * masking.value * facets.density(1.0 / variance);
+        let log_derivative = facets.slope_squared / (variance * self.sigma)
+            + masking.by_sigma / masking.value
+            + terms.log_scale_by_sigma;
+        LobeValue {
+            value,
+            by_sigma: value * log_derivative,
         }
     }
 
@@ -156,7 +133,7 @@ impl Brdf {
     pub fn facet_reflectance(&self, cos_light: f32, cos_between: f32) -> f32 {
         match self.model {
             SpecularModel::Microfacet if cos_light > 0.0 => {
-                fresnel(cos_between) * masking(cos_light.max(1e-4), self.sigma).value
+                fresnel(cos_between) * self.model.masking(cos_light, self.sigma).value
             }
             _ => 0.0,
         }
@@ -180,10 +157,78 @@ impl Brdf {
     }
 }
 
+/// What of a lobe the half vector decides.
+#[derive(Clone, Copy, Debug)]
+pub struct Facets {
+    /// α² in the paper's model, tan²α in the microfacet model.
+    pub slope_squared: f32,
+    /// Fresnel factor, 1 at normal incidence, over cos⁴α; 1 in the paper's model.
+    pub factor: f32,
+}
+
+impl Facets {
+    /// Factor × exp(−slope²/2σ²), given 1/σ².
+    #[inline(always)]
+    pub fn density(&self, inverse_variance: f32) -> f32 {
+        self.factor * exp_negative(-0.5 * self.slope_squared * inverse_variance)
+    }
+}
+
 impl ViewTerms {
     /// Cosine between normal and view, at least [`MIN_COS_VIEW`].
+    #[inline(always)]
     pub fn cos_view(&self) -> f32 {
         self.cos_view
+    }
+
+    /// Masking towards the viewer over cos θ_r.
+    #[inline(always)]
+    pub fn scale(&self) -> f32 {
+        self.scale
+    }
+
+    /// ∂ ln(scale)/∂σ.
+    #[inline(always)]
+    pub fn log_scale_by_sigma(&self) -> f32 {
+        self.log_scale_by_sigma
+    }
+
+    /// The facets that mirror light from the unit direction `light` to the viewer; `cos_light` is n·l.
+    #[inline(always)]
+    pub fn facets(&self, model: SpecularModel, light: Vec3, cos_light: f32) -> Facets {
+        // |l + v|² = 2 + 2 l·v, n·h = (n·l + n·v)/|l + v|, l·h = |l + v|/2.
+        let length = (2.0 + 2.0 * light.dot(self.view)).max(1e-12).sqrt();
+        let cos_half = ((cos_light + self.cos_normal) / length).clamp(1e-3, 1.0);
+        match model {
+            SpecularModel::Paper => Facets {
+                slope_squared: squared_arccos(cos_half),
+                factor: 1.0,
+            },
+            SpecularModel::Microfacet => {
+                let inverse_cos_squared = 1.0 / (cos_half * cos_half);
+                Facets {
+                    slope_squared: (1.0 - cos_half * cos_half) * inverse_cos_squared,
+                    factor: fresnel(0.5 * length)
+                        * INVERSE_NORMAL_FRESNEL
+                        * inverse_cos_squared
+                        * inverse_cos_squared,
+                }
+            }
+        }
+    }
+}
+
+impl SpecularModel {
+    /// Masking towards a direction at the cosine `cos`, with its derivative by σ.
+    #[inline(always)]
+    pub fn masking(self, cos: f32, sigma: f32) -> LobeValue {
+        match self {
+            Self::Paper => LobeValue {
+                value: 1.0,
+                by_sigma: 0.0,
+            },
+            Self::Microfacet => masking(cos.max(1e-4), sigma),
+        }
     }
 }
 
@@ -199,7 +244,8 @@ const INVERSE_NORMAL_TRANSMITTANCE: f32 = 1.0 / (1.0 - NORMAL_FRESNEL);
 fn fresnel(c: f32) -> f32 {
     // Walter et al. (2007), eq. 22.
     let g = (REFRACTIVE_INDEX * REFRACTIVE_INDEX - 1.0 + c * c).sqrt();
-    let a = (g - c) / (g + c);
+    // (g − c)/(g + c) without a division: g² − c² = η² − 1.
+    let a = (g - c) * (g - c) * (1.0 / (REFRACTIVE_INDEX * REFRACTIVE_INDEX - 1.0));
     let b = (c * (g + c) - 1.0) / (c * (g - c) + 1.0);
     0.5 * a * a * (1.0 + b * b)
 }

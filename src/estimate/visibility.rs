@@ -7,7 +7,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::cells::{Cell, Pyramid};
-use super::design::{Design, light_from};
+use super::design::Design;
+use super::lobes::light_from;
 use super::model::Brdf;
 use crate::surface::Occluder;
 

@@ -1,0 +1,248 @@
+//! The lobes of many cells at once, as vector code: one row of the matrix of eq. 7.
+//!
+//! What a lobe is made of is computed as rarely as it changes: per cell and roughness (its blur), per cell and point
+//! (direction, cosine and masking of the light), and for each row only what the half vector decides.
+
+use glam::Vec3;
+
+use super::cells::CellGeometry;
+use super::model::{Brdf, SpecularModel, ViewTerms};
+
+/// The lobes of a set of cells at one roughness, one value per cell in each vector.
+///
+/// A lobe is blurred by the extent of its cell, as its mean over the cell: the Gaussian of variance σ² becomes wider and,
+/// as its integral stays, lower.
+pub struct CellLobes<'a> {
+    brdf: Brdf,
+    geometry: &'a CellGeometry,
+    /// Centre and radius of a finite hemisphere.
+    near: Option<(Vec3, f32)>,
+    /// Roughness of the blurred lobe, radians.
+    sigma: Vec<f32>,
+    /// 1/σ² of the blurred lobe.
+    inverse_variance: Vec<f32>,
+    /// Height of the blurred lobe over the sharp one's, σ²/σ_blurred².
+    height: Vec<f32>,
+}
+
+/// Light of every cell at one surface point, one value per cell in each vector.
+pub struct PointLobes {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    /// n·l.
+    cos_light: Vec<f32>,
+    /// ω M (R/|p − x|)² × height × masking towards the light; zero where the light is behind the surface.
+    strength: Vec<f32>,
+    /// ∂ ln(masking towards the light)/∂σ.
+    log_masking_by_sigma: Vec<f32>,
+}
+
+/// Unit direction from `position` towards a light in the direction `direction` from the hemisphere's centre, and
+/// its fall-off (R/|p − x|)²; `near` holds centre and radius of a finite hemisphere.
+#[inline(always)]
+pub fn light_from(near: Option<(Vec3, f32)>, direction: Vec3, position: Vec3) -> (Vec3, f32) {
+    match near {
+        None => (direction, 1.0),
+        Some((centre, radius)) => {
+            let to_light = centre + radius * direction - position;
+            let squared = to_light.length_squared().max(1e-12 * radius * radius);
+            (to_light / squared.sqrt(), radius * radius / squared)
+        }
+    }
+}
+
+impl<'a> CellLobes<'a> {
+    /// Lobes of `brdf` on these cells.
+    pub fn new(brdf: &Brdf, geometry: &'a CellGeometry, near: Option<(Vec3, f32)>) -> Self {
+        let variance = brdf.sigma * brdf.sigma;
+        let inverse_variance: Vec<f32> = geometry
+            .spread
+            .iter()
+            .map(|spread| 1.0 / (variance + spread))
+            .collect();
+        Self {
+            brdf: *brdf,
+            geometry,
+            near,
+            sigma: inverse_variance.iter().map(|i| 1.0 / i.sqrt()).collect(),
+            height: inverse_variance.iter().map(|i| variance * i).collect(),
+            inverse_variance,
+        }
+    }
+
+    /// Model and roughness of the sharp lobe.
+    pub fn brdf(&self) -> Brdf {
+        self.brdf
+    }
+
+    /// Room for the light at a point.
+    pub fn point(&self) -> PointLobes {
+        let directions = &self.geometry.directions;
+        let zeros = vec![0.0; directions.len()];
+        PointLobes {
+            x: directions.iter().map(|d| d.x).collect(),
+            y: directions.iter().map(|d| d.y).collect(),
+            z: directions.iter().map(|d| d.z).collect(),
+            cos_light: zeros.clone(),
+            strength: zeros.clone(),
+            log_masking_by_sigma: zeros,
+        }
+    }
+
+    /// Computes the light at `position` with the unit `normal`; `visibility` holds the seen share of each cell, and
+    /// everything is seen without it. `out` is of [`CellLobes::point`], used with these lobes alone.
+    pub fn light(
+        &self,
+        position: Vec3,
+        normal: Vec3,
+        visibility: Option<&[f32]>,
+        out: &mut PointLobes,
+    ) {
+        let n = out.x.len();
+        let solid_angles = &self.geometry.solid_angles[..n];
+        let strength = &mut out.strength[..n];
+        match visibility {
+            Some(seen) => {
+                for ((s, w), m) in strength.iter_mut().zip(solid_angles).zip(seen) {
+                    *s = w * m;
+                }
+            }
+            None => strength.copy_from_slice(solid_angles),
+        }
+        if self.near.is_some() {
+            for c in 0..n {
+                let direction = self.geometry.directions[c];
+                let (l, fall_off) = light_from(self.near, direction, position);
+                (out.x[c], out.y[c], out.z[c]) = l.into();
+                strength[c] *= fall_off;
+            }
+        }
+        let arch = pulp::Arch::new();
+        match self.brdf.model {
+            SpecularModel::Paper => arch.dispatch(LightKernel::<false> {
+                lobes: self,
+                normal,
+                out,
+            }),
+            SpecularModel::Microfacet => arch.dispatch(LightKernel::<true> {
+                lobes: self,
+                normal,
+                out,
+            }),
+        }
+    }
+
+    /// Writes strength × lobe of each cell towards the viewer of `terms` into `value`, and its derivative by σ into
+    /// `by_sigma` if that is wanted. `light` is the light at the same point.
+    pub fn row(
+        &self,
+        terms: &ViewTerms,
+        light: &PointLobes,
+        value: &mut [f32],
+        by_sigma: Option<&mut [f32]>,
+    ) {
+        let arch = pulp::Arch::new();
+        match self.brdf.model {
+            SpecularModel::Paper => arch.dispatch(RowKernel::<false> {
+                lobes: self,
+                terms,
+                light,
+                value,
+                by_sigma,
+            }),
+            SpecularModel::Microfacet => arch.dispatch(RowKernel::<true> {
+                lobes: self,
+                terms,
+                light,
+                value,
+                by_sigma,
+            }),
+        }
+    }
+}
+
+/// The model is a constant of each kernel, so that its loops are free of branches and become vector code of the widest
+/// kind that the processor has.
+const fn model<const MICROFACET: bool>() -> SpecularModel {
+    if MICROFACET {
+        SpecularModel::Microfacet
+    } else {
+        SpecularModel::Paper
+    }
+}
+
+struct LightKernel<'a, const MICROFACET: bool> {
+    lobes: &'a CellLobes<'a>,
+    normal: Vec3,
+    out: &'a mut PointLobes,
+}
+
+impl<const MICROFACET: bool> pulp::WithSimd for LightKernel<'_, MICROFACET> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let n = self.out.x.len();
+        let (x, y, z) = (&self.out.x[..n], &self.out.y[..n], &self.out.z[..n]);
+        let (sigma, height) = (&self.lobes.sigma[..n], &self.lobes.height[..n]);
+        let cos_light = &mut self.out.cos_light[..n];
+        let strength = &mut self.out.strength[..n];
+        let log_masking_by_sigma = &mut self.out.log_masking_by_sigma[..n];
+        for c in 0..n {
+            let cos = self.normal.dot(Vec3::new(x[c], y[c], z[c]));
+            let masking = model::<MICROFACET>().masking(cos, sigma[c]);
+            cos_light[c] = cos;
+            let lit = strength[c] * height[c] * masking.value;
+            strength[c] = if cos > 0.0 { lit } else { 0.0 };
+            log_masking_by_sigma[c] = masking.by_sigma / masking.value;
+        }
+    }
+}
+
+struct RowKernel<'a, const MICROFACET: bool> {
+    lobes: &'a CellLobes<'a>,
+    terms: &'a ViewTerms,
+    light: &'a PointLobes,
+    value: &'a mut [f32],
+    by_sigma: Option<&'a mut [f32]>,
+}
+
+impl<const MICROFACET: bool> pulp::WithSimd for RowKernel<'_, MICROFACET> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let n = self.value.len();
+        let light = self.light;
+        let (x, y, z) = (&light.x[..n], &light.y[..n], &light.z[..n]);
+        let (cos_light, strength) = (&light.cos_light[..n], &light.strength[..n]);
+        let inverse_variance = &self.lobes.inverse_variance[..n];
+        let value = &mut self.value[..n];
+        let terms = self.terms;
+        let model = const { model::<MICROFACET>() };
+        let Some(by_sigma) = self.by_sigma else {
+            for c in 0..n {
+                let l = Vec3::new(x[c], y[c], z[c]);
+                let facets = terms.facets(model, l, cos_light[c]);
+                value[c] = strength[c] * terms.scale() * facets.density(inverse_variance[c]);
+            }
+            return;
+        };
+        let (by_sigma, height) = (&mut by_sigma[..n], &self.lobes.height[..n]);
+        let log_masking_by_sigma = &light.log_masking_by_sigma[..n];
+        let sigma = self.lobes.brdf.sigma;
+        for c in 0..n {
+            let l = Vec3::new(x[c], y[c], z[c]);
+            let facets = terms.facets(model, l, cos_light[c]);
+            let inverse = inverse_variance[c];
+            value[c] = strength[c] * terms.scale() * facets.density(inverse);
+            // dσ_blurred/dσ = σ/σ_blurred = √height; d ln(height)/dσ = 2 (1 − height)/σ.
+            let log_derivative = sigma * facets.slope_squared * inverse * inverse
+                + height[c].sqrt() * log_masking_by_sigma[c]
+                + terms.log_scale_by_sigma()
+                + 2.0 / sigma * (1.0 - height[c]);
+            by_sigma[c] = value[c] * log_derivative;
+        }
+    }
+}
