@@ -36,6 +36,9 @@ const TIMES_WORSE: usize = 2;
 const MOST_SHORTENED: f64 = 0.5;
 const MOST_LENGTHENED: f64 = 4.0;
 
+/// A step of σ by less than this part of it is none.
+const SETTLED: f64 = 3e-4;
+
 /// Frequency of the coarsest grid.
 pub const COARSEST: u32 = 11;
 
@@ -47,7 +50,7 @@ const FINE_CANDIDATES: usize = 24_000;
 
 /// Most points that take part on cells between the coarsest and the finest, and on the finest.
 const MIDDLE_POINTS: usize = 1800;
-const FINE_POINTS: usize = 7000;
+const FINE_POINTS: usize = 5000;
 
 /// Cells past about this number stay coarse, the dimmest first.
 const MOST_CELLS: usize = 700;
@@ -215,15 +218,18 @@ impl Solver<'_> {
             let (rounds, precision) = if last { (10, EXACT) } else { (4, ROUGH) };
             state.solve_lights(precision);
             if last {
-                self.improve(&mut state, 2, precision, watch)?;
                 state = self.narrow(&state);
             }
-            let step = self.improve(&mut state, rounds, precision, watch)?;
+            let settled = self.improve(&mut state, rounds, precision, watch)?;
             if watch.observer.enough() {
-                error = step.error;
+                error = settled.map_or(f64::INFINITY, |step| step.error);
                 break;
             }
             if last {
+                let step = settled.unwrap_or_else(|| {
+                    state.solve_lights(precision);
+                    state.sigma_step()
+                });
                 error = state.settle_sigma(&step, precision);
                 self.report(&state, watch)?;
             }
@@ -242,17 +248,17 @@ impl Solver<'_> {
         })
     }
 
-    /// Reweighting, lights and a step of σ in turn, until σ stands still.
+    /// Reweighting, lights and a step of σ in turn, until σ stands still. Returns the step at which it did, which has not been taken:
+    /// the lights are those of the present σ. After `rounds` without standing still there is none.
     fn improve(
         &self,
         state: &mut State<'_>,
         rounds: usize,
         precision: Precision,
         watch: &mut Watch<'_>,
-    ) -> Result<SigmaStep, Stopped> {
-        let mut round = 0;
+    ) -> Result<Option<SigmaStep>, Stopped> {
         let mut before: Option<(f64, SigmaStep)> = None;
-        loop {
+        for round in 0..rounds {
             state.reweight();
             state.solve_lights(precision);
             let step = state.sigma_step();
@@ -260,15 +266,15 @@ impl Solver<'_> {
             let sigma = f64::from(state.brdf.sigma);
             let limit = 0.3 * sigma;
             let change = lengthened(before, sigma, &step).clamp(-limit, limit);
+            let settled = round > 1 && change.abs() < SETTLED * sigma;
+            if settled || watch.observer.enough() {
+                return Ok(Some(step));
+            }
             // While the weights still settle, slopes of two rounds belong to two objectives.
             before = (round > 0).then_some((sigma, step));
-            state.brdf.sigma = (f64::from(state.brdf.sigma) + change).clamp(0.003, 1.0) as f32;
-            round += 1;
-            let settled = change.abs() < 3e-4 * f64::from(state.brdf.sigma);
-            if round >= rounds || (round > 2 && settled) || watch.observer.enough() {
-                return Ok(step);
-            }
+            state.brdf.sigma = (sigma + change).clamp(0.003, 1.0) as f32;
         }
+        Ok(None)
     }
 
     fn design<'s>(&'s self, observations: &'s Observations, cells: &[Cell]) -> Design<'s> {

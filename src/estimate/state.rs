@@ -235,7 +235,8 @@ impl<'a> State<'a> {
     }
 
     /// Moves σ from the minimum of f to that of `f + 2 s² p` with p the number of lit cells and s² the variance of the
-    /// noise, solves the lights there, and returns the standard error of σ; `step` belongs to the present σ.
+    /// noise, solves the lights there, and returns the standard error of σ. The lights have been solved at the present σ, and `step`
+    /// belongs to it.
     ///
     /// A narrower lobe lights more cells, and each of them takes away one variance of the noise from f: the minimum of
     /// f lies below the true σ, the more so the noisier the data. Mallows's Cp counts them (as does
@@ -244,7 +245,6 @@ impl<'a> State<'a> {
     /// cells go dark and light up.
     pub fn settle_sigma(&mut self, step: &SigmaStep, precision: Precision) -> f64 {
         if !step.error.is_finite() {
-            self.solve_lights(precision);
             return step.error;
         }
         let sigma = f64::from(self.brdf.sigma);
@@ -256,7 +256,7 @@ impl<'a> State<'a> {
             probe.solve_lights(precision);
             (probe.squares(), probe.lit_unknowns())
         };
-        let mut here = at(0.0);
+        let mut here = (self.squares(), self.lit_unknowns());
         // f falls at twice the slope of Σ w z r.
         let mut rise = -2.0 * step.slope;
         let below = 2.0 * (at(-away).0 - here.0 + rise * away) / (away * away);
@@ -267,7 +267,7 @@ impl<'a> State<'a> {
             let curvature = 2.0 * (next.0 - here.0 - rise * away) / (away * away);
             let excess = rise + 2.0 * variance * (next.1 - here.1) / away;
             let part = if curvature > 0.0 {
-                (-excess / curvature).max(0.0)
+                (-excess / curvature).max(-away)
             } else {
                 away
             };
