@@ -28,6 +28,9 @@ use crate::surface::{Occluder, ViewSurface};
 /// Roughnesses compared on the coarsest cells, radians.
 const SIGMAS: [f32; 6] = [0.34, 0.21, 0.13, 0.08, 0.05, 0.03];
 
+/// The roughnesses that fit two models differ by less than this factor.
+const NEAR_RATIO: f32 = 2.0;
+
 /// This many roughnesses in a row that leave so many times as much as the best so far end the comparison.
 const CLEARLY_WORSE: f64 = 1.1;
 const TIMES_WORSE: usize = 2;
@@ -152,10 +155,12 @@ impl Solver<'_> {
         Observations::gather(capture, surfaces, &sampling).to_gray()
     }
 
-    /// The best of [`SIGMAS`] on the coarsest cells, improved by a few steps.
+    /// The best of [`SIGMAS`] on the coarsest cells, improved by a few steps. Where another model's roughness is known,
+    /// only those near it are looked at, and the first.
     pub fn coarse_fit(
         &self,
         model: SpecularModel,
+        near: Option<f32>,
         watch: &mut Watch<'_>,
     ) -> Result<CoarseFit<'_>, Stopped> {
         let sigma = SIGMAS[0];
@@ -169,7 +174,14 @@ impl Solver<'_> {
         let mut broadest = None;
         let mut worse = 0;
         watch.observer.interim(Interim::Lobe(model));
+        let is_near = |sigma: f32| {
+            let ratio = near.map_or(1.0, |n| sigma / n);
+            (1.0 / NEAR_RATIO..NEAR_RATIO).contains(&ratio)
+        };
         for (k, sigma) in SIGMAS.into_iter().enumerate() {
+            if k > 0 && !is_near(sigma) {
+                continue;
+            }
             let done = 0.3 * k as f32 / SIGMAS.len() as f32;
             go_on(watch.observer.progress("comparing roughnesses", done))?;
             let mut state = dark.clone();
@@ -248,8 +260,8 @@ impl Solver<'_> {
         })
     }
 
-    /// Reweighting, lights and a step of σ in turn, until σ stands still. Returns the step at which it did, which has not been taken:
-    /// the lights are those of the present σ. After `rounds` without standing still there is none.
+    /// Reweighting, lights and a step of σ in turn, until σ stands still. Returns the step at which it did, which has
+    /// not been taken: the lights are those of the present σ. After `rounds` without standing still there is none.
     fn improve(
         &self,
         state: &mut State<'_>,

@@ -257,14 +257,15 @@ fn choose<'s>(
     watch: &mut Watch<'_>,
 ) -> Result<(CoarseFit<'s>, String), Stopped> {
     if let SpecularChoice::Model(model) = choice {
-        let fit = solver.coarse_fit(model, watch)?;
+        let fit = solver.coarse_fit(model, None, watch)?;
         return Ok((fit, "it was asked for".to_owned()));
     }
-    let paper = solver.coarse_fit(SpecularModel::Paper, watch)?;
+    let paper = solver.coarse_fit(SpecularModel::Paper, None, watch)?;
     if watch.observer.enough() {
         return Ok((paper, "it was the only one tried before the end".to_owned()));
     }
-    let microfacet = solver.coarse_fit(SpecularModel::Microfacet, watch)?;
+    let near = Some(paper.state.brdf.sigma);
+    let microfacet = solver.coarse_fit(SpecularModel::Microfacet, near, watch)?;
     let left = [&paper, &microfacet].map(|s| s.state.unexplained().max(f64::MIN_POSITIVE));
     let (chosen, names, ratio) = if left[0] <= left[1] {
         (

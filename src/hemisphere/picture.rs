@@ -156,15 +156,20 @@ pub fn lat_long(grid: &HemisphereGrid, radiance: &[[f32; 3]], height: u32) -> Pi
     let height = height.max(2);
     let width = 2 * height;
     let (columns, rows) = (width * SAMPLES, height * SAMPLES);
-    // The nearest node of each sample, row by row.
-    let owners: Vec<Option<u32>> = (0..columns as usize * rows as usize)
-        .into_par_iter()
-        .map(|sample| {
-            let column = (sample % columns as usize) as f32 + 0.5;
-            let row = (sample / columns as usize) as f32 + 0.5;
-            let uv = Vec2::new(column / columns as f32, row / rows as f32);
-            let node = grid.nearest(direction_from_lat_long(uv))?;
-            Some(node as u32)
+    let candidates = pixels_near_light(grid, radiance, [width, height]);
+    // The nearest node of each of their samples.
+    let owners: Vec<[Option<u32>; (SAMPLES * SAMPLES) as usize]> = candidates
+        .par_iter()
+        .map(|&pixel| {
+            std::array::from_fn(|sample| {
+                let sample = sample as u32;
+                let column = (pixel % width) * SAMPLES + sample % SAMPLES;
+                let row = (pixel / width) * SAMPLES + sample / SAMPLES;
+                let at = Vec2::new(column as f32 + 0.5, row as f32 + 0.5);
+                let uv = at / Vec2::new(columns as f32, rows as f32);
+                let node = grid.nearest(direction_from_lat_long(uv))?;
+                Some(node as u32)
+            })
         })
         .collect();
     // Solid angle of a sample in each row, and of each node's samples.
@@ -172,37 +177,33 @@ pub fn lat_long(grid: &HemisphereGrid, radiance: &[[f32; 3]], height: u32) -> Pi
     let row_angle: Vec<f64> = (0..rows)
         .map(|row| (edge(row) - edge(row + 1)) * std::f64::consts::TAU / f64::from(columns))
         .collect();
+    let angle_of = |pixel: u32, sample: usize| {
+        row_angle[((pixel / width) * SAMPLES) as usize + sample / SAMPLES as usize]
+    };
     let mut filled = vec![0.0_f64; radiance.len()];
-    for (owner_row, angle) in owners.chunks(columns as usize).zip(&row_angle) {
-        for &node in owner_row.iter().flatten() {
-            filled[node as usize] += angle;
+    for (&pixel, own) in candidates.iter().zip(&owners) {
+        for (sample, node) in own.iter().enumerate() {
+            if let Some(node) = node {
+                filled[*node as usize] += angle_of(pixel, sample);
+            }
         }
     }
     let solid_angle = f64::from(grid.solid_angle);
-    let mut pixels: Vec<[f32; 3]> = (0..width as usize * height as usize)
-        .into_par_iter()
-        .map(|pixel| {
-            let (x, y) = (pixel % width as usize, pixel / width as usize);
-            let mut flux = glam::DVec3::ZERO;
-            let mut angle = 0.0;
-            for sub in 0..SAMPLES as usize {
-                let row = y * SAMPLES as usize + sub;
-                angle += row_angle[row] * f64::from(SAMPLES);
-                let first = row * columns as usize + x * SAMPLES as usize;
-                for &node in owners[first..first + SAMPLES as usize].iter().flatten() {
-                    let share = row_angle[row] * solid_angle / filled[node as usize];
-                    flux += share * Vec3::from(radiance[node as usize]).as_dvec3();
-                }
+    let mut pixels = vec![[0.0_f32; 3]; width as usize * height as usize];
+    for (&pixel, own) in candidates.iter().zip(&owners) {
+        let mut flux = glam::DVec3::ZERO;
+        let mut angle = 0.0;
+        for (sample, node) in own.iter().enumerate() {
+            angle += angle_of(pixel, sample);
+            if let Some(node) = node {
+                let share = angle_of(pixel, sample) * solid_angle / filled[*node as usize];
+                flux += share * Vec3::from(radiance[*node as usize]).as_dvec3();
             }
-            (flux / angle).as_vec3().to_array()
-        })
-        .collect();
+        }
+        pixels[pixel as usize] = (flux / angle).as_vec3().to_array();
+    }
     // In a small map a node may fall between the samples: its flux goes to the pixel that holds it.
-    for (node, _) in filled
-        .iter()
-        .enumerate()
-        .filter(|(_, angle)| **angle == 0.0)
-    {
+    for node in (0..radiance.len()).filter(|&n| filled[n] == 0.0 && radiance[n] != [0.0; 3]) {
         let uv = lat_long_from_direction(grid.directions[node]);
         let x = ((uv.x * width as f32) as u32).min(width - 1);
         let y = ((uv.y * height as f32) as u32).min(height - 1);
@@ -220,6 +221,48 @@ pub fn lat_long(grid: &HemisphereGrid, radiance: &[[f32; 3]], height: u32) -> Pi
         height,
         radiance: pixels,
     }
+}
+
+/// The pixels of a lat-long map of `[width, height]` that may show a lit node, ascending.
+fn pixels_near_light(
+    grid: &HemisphereGrid,
+    radiance: &[[f32; 3]],
+    [width, height]: [u32; 2],
+) -> Vec<u32> {
+    let pixel = PI / height as f32;
+    // Further from a node than the spacing another one is nearer; below the horizon nothing is.
+    let reach = 1.5 * grid.spacing() + pixel;
+    let mut near = vec![false; width as usize * height as usize];
+    for (direction, _) in grid
+        .directions
+        .iter()
+        .zip(radiance)
+        .filter(|(_, r)| **r != [0.0; 3])
+    {
+        let uv = lat_long_from_direction(*direction);
+        let fall = uv.y * PI;
+        let row = |angle: f32| ((angle / pixel) as u32).min(height - 1);
+        // What is within reach of the node covers at most this turn about the poles.
+        let widest = reach.sin() / fall.sin().max(1e-6);
+        let turn = if fall - reach <= 0.0 || fall + reach >= PI || widest >= 1.0 {
+            PI
+        } else {
+            widest.asin() + pixel
+        };
+        let (first, count) = (
+            ((uv.x - turn / TAU) * width as f32).floor() as i64,
+            ((turn / PI) * width as f32).ceil() as i64 + 1,
+        );
+        for y in row((fall - reach).max(0.0))..=row(fall + reach) {
+            for x in first..first + count.min(i64::from(width)) {
+                let x = x.rem_euclid(i64::from(width)) as usize;
+                near[y as usize * width as usize + x] = true;
+            }
+        }
+    }
+    (0..width * height)
+        .filter(|&i| near[i as usize])
+        .collect()
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@
 //! Pixels weigh less the stronger the highlight that was subtracted, at grazing views and where they mix surfaces;
 //! between iterations those that disagree with the other views (interreflection, bad geometry) lose their weight.
 
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec3A, Vec4};
 use rayon::prelude::*;
 
 use super::render::{Scene, specular_band};
@@ -67,8 +67,8 @@ struct Footprints {
     pixels: Vec<u32>,
     /// Taps of pixel `i` are `taps[starts[i]..starts[i + 1]]`.
     starts: Vec<u32>,
-    /// Texture coordinates of sub-samples, in texels.
-    taps: Vec<Vec2>,
+    /// Where sub-samples read the texture.
+    taps: Vec<Tap>,
     /// Factor of every tap: transmittance towards the viewer / sub-samples of a whole pixel.
     scale: Vec<f32>,
     /// What was measured, minus the specular part.
@@ -79,10 +79,12 @@ struct Footprints {
     weight: Vec<f32>,
 }
 
-/// Sums per texel.
-struct Accumulator {
-    sum: Vec<Vec3>,
-    weight: Vec<f32>,
+/// A bilinear look-up: the upper left of four texels, and how far beyond its centre, in 1/65535 of a texel.
+#[derive(Clone, Copy)]
+struct Tap {
+    texel: u32,
+    across: u16,
+    down: u16,
 }
 
 /// Estimates the texture. `shader` holds the lighting under which the views were taken.
@@ -103,45 +105,38 @@ pub fn reconstruct(
 
     let start = scatter(&footprints, size, |view, i| {
         let f = &footprints[view];
-        let covered = f.scale[i] * f.taps_of(i).len() as f32;
-        f.target[i] / covered.max(1e-6)
+        f.target[i] / f.covered(i)
     });
-    let mut texture: Vec<Vec3> = start
-        .sum
+    let mut texture: Vec<Vec3A> = start
         .par_iter()
-        .zip(&start.weight)
-        .map(|(&sum, &w)| {
-            if w > 0.0 {
-                (sum / w).max(Vec3::ZERO)
-            } else {
-                Vec3::ZERO
-            }
-        })
+        .map(|s| s.truncate().max(Vec3::ZERO) * if s.w > 0.0 { 1.0 / s.w } else { 0.0 })
+        .map(Vec3A::from)
         .collect();
     for iteration in 0..ITERATIONS {
         if shader.is_stopped() {
             break;
         }
-        let residuals: Vec<Vec<Vec3>> = footprints
-            .iter()
-            .map(|f| f.residuals(&texture, size))
-            .collect();
         if iteration == 1 {
-            for (f, r) in footprints.iter_mut().zip(&residuals) {
-                f.distrust_outliers(r, typical);
+            for f in &mut footprints {
+                let residuals: Vec<Vec3> = (0..f.pixels.len())
+                    .into_par_iter()
+                    .map(|i| f.residual(i, &texture, size))
+                    .collect();
+                f.distrust_outliers(&residuals, typical);
             }
         }
         let update = scatter(&footprints, size, |view, i| {
             let f = &footprints[view];
-            let covered = f.scale[i] * f.taps_of(i).len() as f32;
-            residuals[view][i] / covered.max(1e-6)
+            f.residual(i, &texture, size) / f.covered(i)
         });
-        texture.par_iter_mut().enumerate().for_each(|(t, value)| {
-            if update.weight[t] > 0.0 {
-                let step = update.sum[t] * (RELAXATION / update.weight[t]);
-                *value = (*value + step).max(Vec3::ZERO);
-            }
-        });
+        texture
+            .par_iter_mut()
+            .zip(&update)
+            .filter(|(_, update)| update.w > 0.0)
+            .for_each(|(value, update)| {
+                let step = Vec3A::from_vec4(*update) * (RELAXATION / update.w);
+                *value = (*value + step).max(Vec3A::ZERO);
+            });
     }
     let fit = footprints
         .iter()
@@ -150,10 +145,10 @@ pub fn reconstruct(
         .collect();
     let confidence = (0..texels)
         .into_par_iter()
-        .map(|t| start.weight[t] / (start.weight[t] + HALF_CONFIDENCE))
+        .map(|t| start[t].w / (start[t].w + HALF_CONFIDENCE))
         .collect();
     DiffuseTexture {
-        radiance: texture.iter().map(Vec3::to_array).collect(),
+        radiance: texture.iter().map(Vec3A::to_array).collect(),
         confidence,
         fit,
     }
@@ -187,48 +182,56 @@ fn typical_radiance(views: &[View]) -> f32 {
     *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
-/// The four texels around a texture coordinate with their bilinear weights.
-#[inline]
-fn bilinear(at: Vec2, size: [usize; 2]) -> [(usize, f32); 4] {
-    let limit = Vec2::new(size[0] as f32 - 1.0, size[1] as f32 - 1.0);
-    let at = (at - 0.5).clamp(Vec2::ZERO, limit);
-    let low = at.floor();
-    let t = at - low;
-    let (x0, y0) = (low.x as usize, low.y as usize);
-    let (x1, y1) = ((x0 + 1).min(size[0] - 1), (y0 + 1).min(size[1] - 1));
-    let (row0, row1) = (y0 * size[0], y1 * size[0]);
-    [
-        (row0 + x0, (1.0 - t.x) * (1.0 - t.y)),
-        (row0 + x1, t.x * (1.0 - t.y)),
-        (row1 + x0, (1.0 - t.x) * t.y),
-        (row1 + x1, t.x * t.y),
-    ]
+impl Tap {
+    /// The look-up at a texture coordinate in texels, held within a texture of at least 2 × 2 texels.
+    fn new(at: Vec2, size: [usize; 2]) -> Self {
+        const STEPS: f32 = 65535.0;
+        let last = Vec2::new(size[0] as f32 - 2.0, size[1] as f32 - 2.0).max(Vec2::ZERO);
+        let at = (at - 0.5).clamp(Vec2::ZERO, last + 1.0);
+        let low = at.floor().min(last);
+        let part = (at - low) * STEPS;
+        Self {
+            texel: low.y as u32 * size[0] as u32 + low.x as u32,
+            across: part.x as u16,
+            down: part.y as u16,
+        }
+    }
+
+    /// The four texels with their weights.
+    #[inline]
+    fn texels(self, width: usize) -> [(usize, f32); 4] {
+        const STEP: f32 = 1.0 / 65535.0;
+        let (x, y) = (f32::from(self.across) * STEP, f32::from(self.down) * STEP);
+        let first = self.texel as usize;
+        [
+            (first, (1.0 - x) * (1.0 - y)),
+            (first + 1, x * (1.0 - y)),
+            (first + width, (1.0 - x) * y),
+            (first + width + 1, x * y),
+        ]
+    }
 }
 
-/// Σ weight × value and Σ weight over the taps of all pixels that touch each texel. The order of all sums is fixed.
+/// Σ weight × value (xyz) and Σ weight (w) over the taps of all pixels that touch each texel. The order of all sums is
+/// fixed.
 fn scatter(
     footprints: &[Footprints],
     size: [usize; 2],
     value: impl Fn(usize, usize) -> Vec3 + Sync,
-) -> Accumulator {
+) -> Vec<Vec4> {
     let texels = size[0] * size[1];
     let lanes = footprints.len().min(ACCUMULATORS);
-    let parts: Vec<Accumulator> = (0..lanes)
+    let parts: Vec<Vec<Vec4>> = (0..lanes)
         .into_par_iter()
         .map(|lane| {
-            let mut part = Accumulator {
-                sum: vec![Vec3::ZERO; texels],
-                weight: vec![0.0; texels],
-            };
+            let mut part = vec![Vec4::ZERO; texels];
             for view in (lane..footprints.len()).step_by(lanes) {
                 let f = &footprints[view];
                 for i in (0..f.pixels.len()).filter(|&i| f.weight[i] > 0.0) {
-                    let (v, w) = (value(view, i), f.weight[i] * f.scale[i]);
-                    for &tap in f.taps_of(i) {
-                        for (texel, share) in bilinear(tap, size) {
-                            let share = share * w;
-                            part.sum[texel] += share * v;
-                            part.weight[texel] += share;
+                    let weighted = value(view, i).extend(1.0) * (f.weight[i] * f.scale[i]);
+                    for tap in f.taps_of(i) {
+                        for (texel, share) in tap.texels(size[0]) {
+                            part[texel] += share * weighted;
                         }
                     }
                 }
@@ -236,22 +239,10 @@ fn scatter(
             part
         })
         .collect();
-    let mut total = Accumulator {
-        sum: vec![Vec3::ZERO; texels],
-        weight: vec![0.0; texels],
-    };
-    total
-        .sum
-        .par_iter_mut()
-        .zip(&mut total.weight)
-        .enumerate()
-        .for_each(|(t, (sum, weight))| {
-            for part in &parts {
-                *sum += part.sum[t];
-                *weight += part.weight[t];
-            }
-        });
-    total
+    (0..texels)
+        .into_par_iter()
+        .map(|t| parts.iter().map(|part| part[t]).sum())
+        .collect()
 }
 
 impl Footprints {
@@ -264,6 +255,7 @@ impl Footprints {
         typical: f32,
     ) -> Self {
         let (camera, photograph) = (&view.camera, &view.photograph);
+        let size = [atlas.width as usize, atlas.height as usize];
         let eye = camera.position().as_vec3();
         let mut all = Self {
             pixels: Vec::new(),
@@ -294,7 +286,7 @@ impl Footprints {
                 for s in covered {
                     let [a, b, c] = atlas.corner_uvs[s.triangle as usize];
                     let (u, v) = (s.barycentric.x, s.barycentric.y);
-                    all.taps.push(a * (1.0 - u - v) + b * u + c * v);
+                    all.taps.push(Tap::new(a * (1.0 - u - v) + b * u + c * v, size));
                 }
                 all.starts.push(all.taps.len() as u32);
                 all.scale.push(through / samples.full() as f32);
@@ -316,26 +308,28 @@ impl Footprints {
         all
     }
 
-    fn taps_of(&self, i: usize) -> &[Vec2] {
+    fn taps_of(&self, i: usize) -> &[Tap] {
         &self.taps[self.starts[i] as usize..self.starts[i + 1] as usize]
     }
 
+    /// How much of a pixel its taps make up, transmittance inside.
+    fn covered(&self, i: usize) -> f32 {
+        (self.scale[i] * self.taps_of(i).len() as f32).max(1e-6)
+    }
+
     /// Diffuse radiance of a pixel under a texture.
-    fn predict(&self, i: usize, texture: &[Vec3], size: [usize; 2]) -> Vec3 {
-        let mut sum = Vec3::ZERO;
-        for &tap in self.taps_of(i) {
-            for (texel, share) in bilinear(tap, size) {
+    fn predict(&self, i: usize, texture: &[Vec3A], size: [usize; 2]) -> Vec3 {
+        let mut sum = Vec3A::ZERO;
+        for tap in self.taps_of(i) {
+            for (texel, share) in tap.texels(size[0]) {
                 sum += texture[texel] * share;
             }
         }
-        sum * self.scale[i]
+        Vec3::from(sum) * self.scale[i]
     }
 
-    fn residuals(&self, texture: &[Vec3], size: [usize; 2]) -> Vec<Vec3> {
-        (0..self.pixels.len())
-            .into_par_iter()
-            .map(|i| self.target[i] - self.predict(i, texture, size))
-            .collect()
+    fn residual(&self, i: usize, texture: &[Vec3A], size: [usize; 2]) -> Vec3 {
+        self.target[i] - self.predict(i, texture, size)
     }
 
     /// Takes weight from pixels whose residual is far outside the common run.
@@ -360,7 +354,7 @@ impl Footprints {
         }
     }
 
-    fn fit(&self, view: &View, texture: &[Vec3], size: [usize; 2]) -> ViewFit {
+    fn fit(&self, view: &View, texture: &[Vec3A], size: [usize; 2]) -> ViewFit {
         let coverage = view.photograph.coverage.as_deref();
         let measured: Vec<Vec3> = (0..self.pixels.len())
             .map(|i| Vec3::from(view.photograph.radiance[self.pixels[i] as usize]))

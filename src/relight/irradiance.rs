@@ -1,13 +1,15 @@
 //! Irradiance of every texel under a lighting.
 //!
-//! Most triangles of a fine mesh are far smaller than a penumbra. Their corners and centroids say how much of each lamp
-//! they see, and between them that is linear; only where the four disagree every texel casts its own rays.
+//! Most triangles of a fine mesh are far smaller than a penumbra. Their corners say how much of each lamp they see, and
+//! their centroids where not all around them see the same; between them that is linear. Only where the four disagree
+//! every texel casts its own rays.
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::render::Scene;
 use super::shading::{Shader, ShadingPoint, Visibility};
+use crate::capture::Mesh;
 use crate::surface::Atlas;
 
 /// Texels along each side of a tile, the unit of work.
@@ -140,6 +142,7 @@ fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<
             }
         })
         .collect();
+    let plain = plain_surroundings(mesh, &corners, groups);
     (0..mesh.triangles.len())
         .into_par_iter()
         .map(|t| {
@@ -152,14 +155,42 @@ fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<
                         .collect();
                 }
                 let centroid = ShadingPoint::on(mesh, t as u32, Vec2::splat(1.0 / 3.0));
-                shares(&centroid)
-                    .into_iter()
-                    .enumerate()
-                    .map(|(g, centre)| linear(at_corners(g), centre))
+                (0..groups)
+                    .map(|g| {
+                        let same = triangle.map(|v| plain[v as usize * groups + g]);
+                        if let [Some(share), ..] = same
+                            && same.iter().all(|s| *s == Some(share))
+                        {
+                            return Some([share; 3]);
+                        }
+                        linear(at_corners(g), shader.seen_share(&centroid, g))
+                    })
                     .collect()
             })
         })
         .collect()
+}
+
+/// For every vertex and each lamp: 0 or 1 where it and all vertices around it see none or all of the lamp.
+fn plain_surroundings(mesh: &Mesh, shares: &[Vec<Option<f32>>], groups: usize) -> Vec<Option<f32>> {
+    let mut plain: Vec<Option<f32>> = (0..mesh.positions.len() * groups)
+        .map(|i| {
+            let share = shares[i / groups].get(i % groups).copied().flatten();
+            share.filter(|&s| s == 0.0 || s == 1.0)
+        })
+        .collect();
+    for triangle in &mesh.triangles {
+        for g in 0..groups {
+            let at = |v: u32| shares[v as usize].get(g).copied().flatten();
+            let [a, b, c] = triangle.map(at);
+            if a != b || b != c {
+                for &v in triangle {
+                    plain[v as usize * groups + g] = None;
+                }
+            }
+        }
+    }
+    plain
 }
 
 /// The corners' shares if they are linear over the triangle. A corner that the lamp is below takes what the centroid
