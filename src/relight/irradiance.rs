@@ -1,8 +1,9 @@
 //! Irradiance of every texel under a lighting.
 //!
 //! Most triangles of a fine mesh are far smaller than a penumbra. Their corners say how much of each lamp they see, and
-//! their centroids where not all around them see the same; between them that is linear. Only where the four disagree
-//! every texel casts its own rays.
+//! their centroids where not all around them see the same; between them that is linear. Where the four disagree, and on
+//! larger triangles at a shadow's edge, texels cast rays: every second one in both directions, the others where these
+//! differ much.
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -10,7 +11,7 @@ use rayon::prelude::*;
 use super::render::Scene;
 use super::shading::{Shader, ShadingPoint, Visibility};
 use crate::capture::Mesh;
-use crate::surface::Atlas;
+use crate::surface::{Atlas, Texel};
 
 /// Texels along each side of a tile, the unit of work.
 const TILE: usize = 32;
@@ -23,43 +24,41 @@ const SMALL_TRIANGLE: u32 = 40;
 const MAX_SPREAD: f32 = 0.4;
 /// … and between their centroid and the corners' mean by no more than this part.
 const MAX_BEND: f32 = 0.12;
+/// Triangles of at most this many texels are taken as all lit or all dark where they are so at their corners, at those
+/// of the triangles around, in the middles of their edges and in the centre.
+const LARGE_TRIANGLE: u32 = 256;
+/// Texels between others whose shares differ by no more than this take their mean …
+const MAX_STEP: f32 = 0.3;
+/// … where their normals' cosine is above this …
+const SAME_SURFACE_COS: f32 = 0.8;
+/// … and they are no further away than this many typical distances.
+const SAME_SURFACE: f32 = 4.0;
 
 /// Irradiance of every texel by the light of `shader`, zero outside the atlas.
 pub fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Vec3> {
     let (width, height) = (atlas.width as usize, atlas.height as usize);
     let triangles = triangle_shares(scene, atlas, shader);
-    let groups = shader.groups();
-    // Texels of small triangles at once; the others are left for their tiles.
-    let first: Vec<(u32, Result<Vec3, ShadingPoint>)> = atlas
+    let shares_of = |texel: &Texel| triangles[texel.triangle as usize].as_deref();
+    // Texels whose triangles tell all at once; the others are left for their tiles.
+    let first: Vec<Option<Vec3>> = atlas
         .texels
         .par_iter()
-        .map_with(vec![Visibility::Below; groups], |seen, texel| {
+        .map_with(Vec::new(), |seen, texel| {
+            seen.clear();
+            for shares in shares_of(texel)? {
+                seen.push(Visibility::Fraction(between((*shares)?, texel.barycentric)));
+            }
             let point = ShadingPoint::on(scene.mesh, texel.triangle, texel.barycentric);
-            let value = match &triangles[texel.triangle as usize] {
-                Some(shares) => {
-                    let (u, v) = (texel.barycentric.x, texel.barycentric.y);
-                    for (group, (seen, corners)) in seen.iter_mut().zip(shares).enumerate() {
-                        *seen = match corners {
-                            Some([a, b, c]) => {
-                                let share = a + u * (b - a) + v * (c - a);
-                                Visibility::Fraction(share.clamp(0.0, 1.0))
-                            }
-                            None => shader.cast(&point, group),
-                        };
-                    }
-                    Ok(shader.irradiance(&point, seen))
-                }
-                None => Err(point),
-            };
-            (texel.index, value)
+            Some(shader.irradiance(&point, seen))
         })
         .collect();
     let mut irradiance = vec![Vec3::ZERO; width * height];
-    let mut points: Vec<Option<ShadingPoint>> = vec![None; width * height];
-    for (index, value) in first {
+    // Index of each texel that is left, plus one.
+    let mut left: Vec<u32> = vec![0; width * height];
+    for (i, (value, texel)) in first.into_iter().zip(&atlas.texels).enumerate() {
         match value {
-            Ok(value) => irradiance[index as usize] = value,
-            Err(point) => points[index as usize] = Some(point),
+            Some(value) => irradiance[texel.index as usize] = value,
+            None => left[texel.index as usize] = i as u32 + 1,
         }
     }
     let spacing = texel_spacing(scene, atlas);
@@ -69,28 +68,123 @@ pub fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Ve
         .map(|tile| {
             let (x, y) = (tile % columns * TILE, tile / columns * TILE);
             let (w, h) = (TILE.min(width - x), TILE.min(height - y));
-            let local: Vec<Option<ShadingPoint>> = (y..y + h)
-                .flat_map(|row| points[row * width + x..row * width + x + w].iter().copied())
+            let at = |i: usize| (y + i / w) * width + x + i % w;
+            let texels: Vec<Option<&Texel>> = (0..w * h)
+                .map(|i| Some(&atlas.texels[left[at(i)].checked_sub(1)? as usize]))
                 .collect();
-            if local.iter().all(Option::is_none) {
+            if texels.iter().all(Option::is_none) {
                 return Vec::new();
             }
-            let seen: Vec<Visibility> = shader.visibility(&local, w, spacing, &|_, _| true);
-            local
-                .iter()
-                .enumerate()
-                .filter_map(|(i, point)| {
-                    let point = point.as_ref()?;
-                    let value = shader.irradiance(point, &seen[i * groups..(i + 1) * groups]);
-                    Some(((y + i / w) * width + x + i % w, value))
-                })
-                .collect()
+            let tile = Tile {
+                points: texels
+                    .iter()
+                    .map(|t| t.map(|t| ShadingPoint::on(scene.mesh, t.triangle, t.barycentric)))
+                    .collect(),
+                known: texels
+                    .iter()
+                    .map(|t| t.and_then(|t| Some((shares_of(t)?, t.barycentric))))
+                    .collect(),
+                size: [w, h],
+                spacing,
+                shader,
+            };
+            tile.irradiance().map(|(i, value)| (at(i), value)).collect()
         })
         .collect();
     for (index, value) in tiles.into_iter().flatten() {
         irradiance[index] = value;
     }
     irradiance
+}
+
+/// A rectangle of texels, some of which are looked at one by one.
+struct Tile<'a> {
+    points: Vec<Option<ShadingPoint>>,
+    /// What their triangles tell, with their barycentric weights.
+    known: Vec<Option<(&'a [Shares], Vec2)>>,
+    size: [usize; 2],
+    /// Typical distance of neighbouring texels.
+    spacing: f32,
+    shader: &'a Shader<'a>,
+}
+
+impl Tile<'_> {
+    /// Index and irradiance of each of its texels.
+    fn irradiance(self) -> impl Iterator<Item = (usize, Vec3)> {
+        let groups = self.shader.groups();
+        let sparse = self.sparse_shares();
+        (0..self.points.len()).filter_map(move |i| {
+            let point = self.points[i].as_ref()?;
+            let seen: Vec<Visibility> = (0..groups)
+                .map(|g| {
+                    self.told(i, g)
+                        .or_else(|| self.interpolated(&sparse, i, g))
+                        .map_or_else(|| self.shader.cast(point, g), Visibility::Fraction)
+                })
+                .collect();
+            Some((i, self.shader.irradiance(point, &seen)))
+        })
+    }
+
+    /// What a texel's triangle tells of a lamp's share.
+    fn told(&self, i: usize, group: usize) -> Option<f32> {
+        let (shares, barycentric) = self.known[i]?;
+        Some(between(shares[group]?, barycentric))
+    }
+
+    /// Seen share of every lamp at every second texel in both directions, as far as it is not told; `None` also
+    /// where the lamp is below.
+    fn sparse_shares(&self) -> Vec<Option<f32>> {
+        let groups = self.shader.groups();
+        let [width, height] = [self.size[0].div_ceil(2), self.size[1].div_ceil(2)];
+        let full = |i: usize| i / width * 2 * self.size[0] + i % width * 2;
+        let points: Vec<Option<ShadingPoint>> =
+            (0..width * height).map(|i| self.points[full(i)]).collect();
+        let unknown = |i: usize, g: usize| points[i].is_some() && self.told(full(i), g).is_none();
+        let seen = self
+            .shader
+            .visibility(&points, width, 2.0 * self.spacing, &unknown);
+        (0..seen.len())
+            .map(|k| {
+                let (i, g) = (k / groups, k % groups);
+                let point = points[i].as_ref()?;
+                self.told(full(i), g)
+                    .or_else(|| self.shader.share(point, g, &seen[k]))
+            })
+            .collect()
+    }
+
+    /// A lamp's share between the texels around that have been looked at, if it changes slowly from one to the next.
+    fn interpolated(&self, sparse: &[Option<f32>], i: usize, group: usize) -> Option<f32> {
+        let [width, height] = self.size;
+        let (x, y) = (i % width, i / width);
+        let point = self.points[i].as_ref()?;
+        let (mut low, mut high, mut sum, mut count) = (f32::INFINITY, 0.0_f32, 0.0, 0.0);
+        for ny in [y - y % 2, y + y % 2] {
+            for nx in [x - x % 2, x + x % 2] {
+                if nx >= width || ny >= height {
+                    return None;
+                }
+                let corner = self.points[ny * width + nx].as_ref()?;
+                let k = ny / 2 * width.div_ceil(2) + nx / 2;
+                let share = sparse[k * self.shader.groups() + group]?;
+                if corner.normal.dot(point.normal) < SAME_SURFACE_COS
+                    || corner.position.distance(point.position) > SAME_SURFACE * self.spacing
+                {
+                    return None;
+                }
+                (low, high) = (low.min(share), high.max(share));
+                sum += share;
+                count += 1.0;
+            }
+        }
+        (high - low <= MAX_STEP).then_some(sum / count)
+    }
+}
+
+/// A share at barycentric weights, given those at the corners.
+fn between([a, b, c]: [f32; 3], at: Vec2) -> f32 {
+    (a + at.x * (b - a) + at.y * (c - a)).clamp(0.0, 1.0)
 }
 
 /// Mean distance of neighbouring texels on the surface.
@@ -108,18 +202,24 @@ fn texel_spacing(scene: &Scene, atlas: &Atlas) -> f32 {
 /// Seen part of a lamp at a triangle's corners, if it is linear between them.
 type Shares = Option<[f32; 3]>;
 
-/// For every small triangle and each lamp what its corners see of it; `None` for large triangles.
-fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<Vec<Shares>>> {
-    let mesh = scene.mesh;
+/// Number of texels that belong to each triangle.
+fn texels_of_triangles(mesh: &Mesh, atlas: &Atlas) -> Vec<u32> {
     let mut texels = vec![0_u32; mesh.triangles.len()];
     for texel in atlas.texels.iter().filter(|t| !t.gutter) {
         texels[texel.triangle as usize] += 1;
     }
-    let small = |t: usize| texels[t] <= SMALL_TRIANGLE;
+    texels
+}
+
+/// For every triangle and each lamp what its corners see of it; `None` for triangles that are too large to tell.
+fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<Vec<Shares>>> {
+    let mesh = scene.mesh;
+    let texels = texels_of_triangles(mesh, atlas);
+    let tells = |t: usize| texels[t] <= LARGE_TRIANGLE;
     let mut needed = vec![false; mesh.positions.len()];
     for (t, triangle) in mesh.triangles.iter().enumerate() {
         for &v in triangle {
-            needed[v as usize] |= small(t);
+            needed[v as usize] |= tells(t);
         }
     }
     let groups = shader.groups();
@@ -146,7 +246,7 @@ fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<
     (0..mesh.triangles.len())
         .into_par_iter()
         .map(|t| {
-            small(t).then(|| {
+            tells(t).then(|| {
                 let triangle = mesh.triangles[t];
                 let at_corners = |g: usize| triangle.map(|v| corners[v as usize][g]);
                 if texels[t] <= TINY_TRIANGLE {
@@ -154,16 +254,24 @@ fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<
                         .map(|g| Some(linear_alone(at_corners(g))))
                         .collect();
                 }
-                let centroid = ShadingPoint::on(mesh, t as u32, Vec2::splat(1.0 / 3.0));
+                let seen = |group: usize, at: Vec2| {
+                    shader.seen_share(&ShadingPoint::on(mesh, t as u32, at), group)
+                };
+                let centroid = Vec2::splat(1.0 / 3.0);
                 (0..groups)
                     .map(|g| {
                         let same = triangle.map(|v| plain[v as usize * groups + g]);
-                        if let [Some(share), ..] = same
-                            && same.iter().all(|s| *s == Some(share))
-                        {
-                            return Some([share; 3]);
+                        let agreed = same[0].filter(|_| same[1] == same[0] && same[2] == same[0]);
+                        if texels[t] <= SMALL_TRIANGLE {
+                            return match agreed {
+                                Some(share) => Some([share; 3]),
+                                None => linear(at_corners(g), seen(g, centroid)),
+                            };
                         }
-                        linear(at_corners(g), shader.seen_share(&centroid, g))
+                        let inside = [centroid, Vec2::X * 0.5, Vec2::Y * 0.5, Vec2::splat(0.5)];
+                        agreed
+                            .filter(|_| inside.iter().all(|&at| seen(g, at) == agreed))
+                            .map(|share| [share; 3])
                     })
                     .collect()
             })

@@ -446,13 +446,17 @@ impl<'a> Shader<'a> {
 
     /// Part of a group's light, of what is above the horizon, that reaches a point; `None` where all of it is below.
     pub fn seen_share(&self, point: &ShadingPoint, group: usize) -> Option<f32> {
-        let seen = self.cast(point, group);
+        self.share(point, group, &self.cast(point, group))
+    }
+
+    /// [`Shader::seen_share`] of a visibility that is known.
+    pub fn share(&self, point: &ShadingPoint, group: usize, seen: &Visibility) -> Option<f32> {
         let group = &self.groups[group];
         match seen {
             Visibility::Below => None,
             Visibility::Hidden => Some(0.0),
             Visibility::Whole => Some(1.0),
-            Visibility::Fraction(f) => Some(f),
+            Visibility::Fraction(f) => Some(*f),
             Visibility::Part(bits) => {
                 let (mut clear, mut all) = (0.0, 0.0);
                 for (i, node) in group.nodes.iter().enumerate() {
