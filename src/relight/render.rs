@@ -189,6 +189,7 @@ fn render_band(
                 size,
                 eye: camera.position().as_vec3(),
                 footprint: (1.0 / camera.focal.min_element()) as f32,
+                relit: matches!(diffuse, Diffuse::Relit(..)),
             }
             .render(diffuse)
         })
@@ -216,6 +217,8 @@ struct Tile<'a> {
     eye: Vec3,
     /// A pixel's size at unit distance.
     footprint: f32,
+    /// Whether the irradiance is wanted, and so the visibility of lamps outside the lobe.
+    relit: bool,
 }
 
 impl Tile<'_> {
@@ -234,7 +237,6 @@ impl Tile<'_> {
         if (0..count).all(|i| self.samples_of(i).is_empty()) {
             return vec![Pixel::default(); count];
         }
-        let relit = matches!(diffuse, Diffuse::Relit(..));
         let pieces: Vec<Vec<Piece>> = (0..count)
             .map(|i| self.pieces(self.samples_of(i)))
             .collect();
@@ -253,7 +255,7 @@ impl Tile<'_> {
             .flat_map(|main| (0..groups).map(move |g| (main, g)))
             .map(|(main, g)| {
                 main.as_ref()
-                    .is_some_and(|p| relit || self.shader.is_in_lobe(g, p, self.view(p)))
+                    .is_some_and(|p| self.relit || self.shader.is_in_lobe(g, p, self.view(p)))
             })
             .collect();
         let wanted = |index: usize, group: usize| needed[index * groups + group];
@@ -272,7 +274,7 @@ impl Tile<'_> {
                 let mut shades: Vec<(Shade, Piece)> = if edge {
                     self.quarters(&pieces[index], samples)
                         .into_iter()
-                        .map(|piece| (self.shade_alone(&piece.point, relit), piece))
+                        .map(|piece| (self.shade_alone(&piece.point), piece))
                         .collect()
                 } else {
                     pieces[index]
@@ -280,10 +282,9 @@ impl Tile<'_> {
                         .enumerate()
                         .map(|(i, piece)| {
                             let shade = if i == 0 {
-                                self.shader
-                                    .shade(&piece.point, self.view(&piece.point), main)
+                                self.shade(&piece.point, main)
                             } else {
-                                self.shade_with_neighbours(&piece.point, relit, main)
+                                self.shade_with_neighbours(&piece.point, main)
                             };
                             (shade, *piece)
                         })
@@ -570,32 +571,38 @@ impl Tile<'_> {
         })
     }
 
+    /// Shades a point whose visibilities are known.
+    fn shade(&self, point: &ShadingPoint, visibility: &[Visibility]) -> Shade {
+        if self.relit {
+            return self.shader.shade(point, self.view(point), visibility);
+        }
+        Shade {
+            specular: self.shader.specular(point, self.view(point), visibility),
+            irradiance: Vec3::ZERO,
+        }
+    }
+
     /// Shades a point that has no visibilities yet.
-    fn shade_alone(&self, point: &ShadingPoint, relit: bool) -> Shade {
+    fn shade_alone(&self, point: &ShadingPoint) -> Shade {
         let view = self.view(point);
         let visibility: Vec<Visibility> = (0..self.shader.groups())
             .map(|g| {
-                if relit || self.shader.is_in_lobe(g, point, view) {
+                if self.relit || self.shader.is_in_lobe(g, point, view) {
                     self.shader.cast(point, g)
                 } else {
                     Visibility::Below
                 }
             })
             .collect();
-        self.shader.shade(point, view, &visibility)
+        self.shade(point, &visibility)
     }
 
     /// Shades a further piece of a pixel: smooth light is as for the pixel's main piece.
-    fn shade_with_neighbours(
-        &self,
-        point: &ShadingPoint,
-        relit: bool,
-        main: &[Visibility],
-    ) -> Shade {
+    fn shade_with_neighbours(&self, point: &ShadingPoint, main: &[Visibility]) -> Shade {
         let view = self.view(point);
         let visibility: Vec<Visibility> = (0..self.shader.groups())
             .map(|g| {
-                if !(relit || self.shader.is_in_lobe(g, point, view)) {
+                if !(self.relit || self.shader.is_in_lobe(g, point, view)) {
                     Visibility::Below
                 } else if matches!(main[g], Visibility::Fraction(_)) {
                     main[g].clone()
@@ -604,7 +611,7 @@ impl Tile<'_> {
                 }
             })
             .collect();
-        self.shader.shade(point, view, &visibility)
+        self.shade(point, &visibility)
     }
 }
 

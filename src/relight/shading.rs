@@ -141,8 +141,7 @@ pub struct Shader<'a> {
     groups: Vec<Group>,
     /// Irradiance by the ambient part.
     ambient: Vec3,
-    /// Half-angle beyond which the lobe is cut, radians.
-    support: f32,
+    support: Support,
     /// Once set, nothing more is computed.
     stop: Option<&'a AtomicBool>,
 }
@@ -330,7 +329,7 @@ impl<'a> Shader<'a> {
             brdf,
             groups,
             ambient: lighting.ambient * ambient_gain(brdf),
-            support: brdf.map_or(0.0, |b| b.half_angle_support(LOBE_CUTOFF)),
+            support: Support::new(brdf),
             stop: None,
         }
     }
@@ -366,16 +365,13 @@ impl<'a> Shader<'a> {
 
     /// Whether a group can add to the specular part seen at a point from the unit direction `view`.
     pub fn is_in_lobe(&self, group: usize, point: &ShadingPoint, view: Vec3) -> bool {
-        let g = &self.groups[group];
-        let (axis, falloff, _) = g.towards(g.axis, point.position);
-        self.brdf.is_some()
-            && in_lobe(
-                axis,
-                g.reach_from(falloff),
-                point.normal,
-                view,
-                self.support,
-            )
+        self.brdf.is_some() && self.group_is_in_lobe(&self.groups[group], point, view)
+    }
+
+    fn group_is_in_lobe(&self, group: &Group, point: &ShadingPoint, view: Vec3) -> bool {
+        let (axis, falloff, _) = group.towards(group.axis, point.position);
+        self.support
+            .holds(axis, group.reach_from(falloff), point.normal, view)
     }
 
     fn ray_is_blocked(
@@ -557,23 +553,27 @@ impl<'a> Shader<'a> {
 
     /// Specular radiance and irradiance at a point seen from the unit direction `view`, given its visibilities.
     pub fn shade(&self, point: &ShadingPoint, view: Vec3, visibility: &[Visibility]) -> Shade {
-        let mut specular = Vec3::ZERO;
-        if let Some(brdf) = self.brdf {
-            let terms = brdf.view_terms(point.normal, view);
-            for (group, seen) in self.groups.iter().zip(visibility) {
-                let (axis, falloff, _) = group.towards(group.axis, point.position);
-                let reach = group.reach_from(falloff);
-                if in_lobe(axis, reach, point.normal, view, self.support) {
-                    Self::each_seen(group, point, seen, |l, flux| {
-                        specular += flux * brdf.lobe(&terms, l);
-                    });
-                }
-            }
-        }
         Shade {
-            specular,
+            specular: self.specular(point, view, visibility),
             irradiance: self.irradiance(point, visibility),
         }
+    }
+
+    /// Specular radiance at a point seen from the unit direction `view`, given its visibilities.
+    pub fn specular(&self, point: &ShadingPoint, view: Vec3, visibility: &[Visibility]) -> Vec3 {
+        let mut specular = Vec3::ZERO;
+        let Some(brdf) = self.brdf else {
+            return specular;
+        };
+        let terms = brdf.view_terms(point.normal, view);
+        for (group, seen) in self.groups.iter().zip(visibility) {
+            if self.group_is_in_lobe(group, point, view) {
+                Self::each_seen(group, point, seen, |l, flux| {
+                    specular += flux * brdf.lobe(&terms, l);
+                });
+            }
+        }
+        specular
     }
 
     /// Irradiance at a point, given its visibilities.
@@ -638,14 +638,32 @@ impl<'a> Shader<'a> {
     }
 }
 
-/// Whether light within the angle `reach` of `axis` can have its half vector within `support` of the normal.
-fn in_lobe(axis: Vec3, reach: f32, normal: Vec3, view: Vec3, support: f32) -> bool {
-    let sum = axis + view;
-    let length = sum.length();
-    // The half vector turns by at most reach/|l + v|, a little more as |l + v| itself changes with l.
-    let turn = reach / (length - reach).max(1e-3);
-    let limit = support + turn;
-    limit >= std::f32::consts::FRAC_PI_2 || sum.dot(normal) > length * limit.cos()
+/// Where a lobe has not been cut yet: the angle between half vector and normal.
+#[derive(Clone, Copy, Debug)]
+struct Support {
+    cos: f32,
+    sin: f32,
+}
+
+impl Support {
+    fn new(brdf: Option<Brdf>) -> Self {
+        let angle = brdf.map_or(0.0, |b| b.half_angle_support(LOBE_CUTOFF));
+        Self {
+            cos: angle.cos(),
+            sin: angle.sin(),
+        }
+    }
+
+    /// Whether light within the angle `reach` of `axis` can have its half vector in it.
+    fn holds(self, axis: Vec3, reach: f32, normal: Vec3, view: Vec3) -> bool {
+        let sum = axis + view;
+        let length = sum.length();
+        // The half vector turns by at most reach/|l + v|, a little more as |l + v| itself changes with l.
+        let turn = reach / (length - reach).max(1e-3);
+        // cos(angle + turn) is no less than this.
+        let least = self.cos * (1.0 - 0.5 * turn * turn) - self.sin * turn;
+        sum.dot(normal) > length * least.min(self.cos)
+    }
 }
 
 /// Irradiance, transmittance inside, by unit radiance from everywhere.
