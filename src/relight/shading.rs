@@ -13,9 +13,9 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use glam::{Vec2, Vec3};
+use glam::{Mat2, Vec2, Vec3};
 
-use super::lighting::{LampNodes, Lighting};
+use super::lighting::{LampNodes, LightNode, Lighting};
 use crate::capture::Mesh;
 use crate::estimate::Brdf;
 use crate::surface::Occluder;
@@ -38,6 +38,11 @@ const MANY_NODES: usize = 24;
 const SCOUTS: usize = 12;
 /// Rays per patch of an environment.
 const SOFT_RAYS: usize = 4;
+/// A lobe of roughness σ does not resolve a lamp of an angular radius below this part of σ |l + v|: the half vector turns
+/// by the radius over |l + v|.
+const UNRESOLVED: f32 = 0.6;
+/// Lamps of a smaller angular radius (radians) are small for the cosine of an irradiance.
+const UNRESOLVED_BY_COSINE: f32 = 0.2;
 
 /// A surface point to be shaded.
 #[derive(Clone, Copy, Debug)]
@@ -116,6 +121,8 @@ struct Node {
 #[derive(Clone, Debug)]
 struct Group {
     nodes: Vec<Node>,
+    /// A few nodes that shine as all of them do, as long as a lobe does not resolve them.
+    few: Vec<Node>,
     /// Squared distance from the centre, for near lamps.
     near: Option<f32>,
     /// Unit direction or position of its middle.
@@ -189,8 +196,20 @@ impl Group {
                 *m += n.direction * n.flux()[channel];
             }
         }
+        let few = if soft || nodes.len() < MANY_NODES {
+            nodes.clone()
+        } else {
+            stand_ins(&lit, lamp.direction)
+                .into_iter()
+                .map(|(direction, flux)| Node {
+                    place: place(direction),
+                    flux,
+                })
+                .collect()
+        };
         Some(Self {
             nodes,
+            few,
             near: lamp.radius.map(|r| r * r),
             axis: place(lamp.direction),
             reach,
@@ -226,6 +245,19 @@ impl Group {
             self.reach * falloff.sqrt() * 1.1
         } else {
             self.reach
+        }
+    }
+
+    /// The nodes to add up at a point: a few for all where these are seen alike and above the horizon, unless the
+    /// distances between them matter.
+    fn standing_for(&self, point: &ShadingPoint, seen: &Visibility, resolved: bool) -> &[Node] {
+        if resolved
+            || matches!(seen, Visibility::Part(_))
+            || self.horizon(point) != Horizon::Above
+        {
+            &self.nodes
+        } else {
+            &self.few
         }
     }
 
@@ -365,13 +397,10 @@ impl<'a> Shader<'a> {
 
     /// Whether a group can add to the specular part seen at a point from the unit direction `view`.
     pub fn is_in_lobe(&self, group: usize, point: &ShadingPoint, view: Vec3) -> bool {
-        self.brdf.is_some() && self.group_is_in_lobe(&self.groups[group], point, view)
-    }
-
-    fn group_is_in_lobe(&self, group: &Group, point: &ShadingPoint, view: Vec3) -> bool {
+        let group = &self.groups[group];
         let (axis, falloff, _) = group.towards(group.axis, point.position);
-        self.support
-            .holds(axis, group.reach_from(falloff), point.normal, view)
+        let reach = group.reach_from(falloff);
+        self.brdf.is_some() && self.support.holds(axis, reach, point.normal, view)
     }
 
     fn ray_is_blocked(
@@ -567,8 +596,12 @@ impl<'a> Shader<'a> {
         };
         let terms = brdf.view_terms(point.normal, view);
         for (group, seen) in self.groups.iter().zip(visibility) {
-            if self.group_is_in_lobe(group, point, view) {
-                Self::each_seen(group, point, seen, |l, flux| {
+            let (axis, falloff, _) = group.towards(group.axis, point.position);
+            let (reach, between) = (group.reach_from(falloff), (axis + view).length());
+            if self.support.holds(axis, reach, point.normal, view) {
+                let resolved = reach > UNRESOLVED * brdf.sigma * between;
+                let nodes = group.standing_for(point, seen, resolved);
+                Self::each_seen(group, nodes, point, seen, |l, flux| {
                     specular += flux * brdf.lobe(&terms, l);
                 });
             }
@@ -602,7 +635,8 @@ impl<'a> Shader<'a> {
                     )
                     .max(Vec3::ZERO);
             } else {
-                Self::each_seen(group, point, seen, |l, flux| {
+                let nodes = group.standing_for(point, seen, group.reach > UNRESOLVED_BY_COSINE);
+                Self::each_seen(group, nodes, point, seen, |l, flux| {
                     let cos = l.dot(point.normal);
                     irradiance += flux * (cos * transmittance(cos));
                 });
@@ -611,10 +645,11 @@ impl<'a> Shader<'a> {
         irradiance
     }
 
-    /// Calls `add(l, flux × fall-off)` for every node of a group that lights the point.
+    /// Calls `add(l, flux × fall-off)` for every one of a group's `nodes` that lights the point.
     #[inline]
     fn each_seen(
         group: &Group,
+        nodes: &[Node],
         point: &ShadingPoint,
         seen: &Visibility,
         mut add: impl FnMut(Vec3, Vec3),
@@ -624,7 +659,7 @@ impl<'a> Shader<'a> {
             Visibility::Whole | Visibility::Part(_) => 1.0,
             Visibility::Fraction(f) => *f,
         };
-        for (i, node) in group.nodes.iter().enumerate() {
+        for (i, node) in nodes.iter().enumerate() {
             if let Visibility::Part(bits) = seen
                 && bits[i / 64] >> (i % 64) & 1 == 0
             {
@@ -636,6 +671,48 @@ impl<'a> Shader<'a> {
             }
         }
     }
+}
+
+/// Seven directions with their fluxes that have the nodes' flux, mean, covariance and, as a uniform ellipse of that
+/// covariance has them, the moments up to the fifth (Abramowitz and Stegun, 25.4.61).
+fn stand_ins(nodes: &[&LightNode], axis: Vec3) -> Vec<(Vec3, Vec3)> {
+    let (mut total, mut weights) = (Vec3::ZERO, 0.0);
+    let (tangent, bitangent) = axis.any_orthonormal_pair();
+    let (mut mean, mut square) = (Vec2::ZERO, Mat2::ZERO);
+    for node in nodes {
+        let weight = node.flux().element_sum();
+        let at = Vec2::new(node.direction.dot(tangent), node.direction.dot(bitangent));
+        total += node.flux();
+        weights += weight;
+        mean += weight * at;
+        square += Mat2::from_cols(at * at.x, at * at.y) * weight;
+    }
+    let weights = weights.max(f32::MIN_POSITIVE);
+    mean /= weights;
+    let square = square * (1.0 / weights);
+    let (xx, xy, yy) = (
+        square.x_axis.x - mean.x * mean.x,
+        square.x_axis.y - mean.x * mean.y,
+        square.y_axis.y - mean.y * mean.y,
+    );
+    // Any root of the covariance will do: Cholesky's.
+    let across = xx.max(0.0).sqrt();
+    let skew = if across > 0.0 { xy / across } else { 0.0 };
+    let along = (yy - skew * skew).max(0.0).sqrt();
+    let direction = |at: Vec2| {
+        let at = mean + at;
+        let height = (1.0 - at.length_squared()).max(0.0).sqrt();
+        (tangent * at.x + bitangent * at.y + axis * height).normalize_or(axis)
+    };
+    // A uniform disc's standard deviation is half its radius.
+    let ring = 2.0 * (2.0_f32 / 3.0).sqrt();
+    std::iter::once((direction(Vec2::ZERO), total * 0.25))
+        .chain((0..6).map(|k| {
+            let (sin, cos) = (k as f32 * std::f32::consts::FRAC_PI_3).sin_cos();
+            let at = ring * Vec2::new(across * cos, skew * cos + along * sin);
+            (direction(at), total * 0.125)
+        }))
+        .collect()
 }
 
 /// Where a lobe has not been cut yet: the angle between half vector and normal.

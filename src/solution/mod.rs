@@ -41,6 +41,9 @@ use format::{FORMAT, Head, Hemisphere, Light, Manifest, Nodes, Texture, VERSION}
 const LATLONG_ROWS: u32 = 512;
 /// Lit nodes outside all lamps that are kept apart.
 const MAX_STRAYS: usize = 24;
+/// Nodes outside all lamps that together have no more than this part of the flux, the weakest, are left dark: their
+/// highlights are as much weaker than a lamp's, and each would cost what a lamp costs.
+const NEGLIGIBLE_SHARE: f32 = 2e-3;
 
 /// A lamp that the estimate found.
 #[derive(Clone, Debug, PartialEq)]
@@ -442,9 +445,10 @@ pub fn lighting(
         .filter(|&i| !claimed[i as usize] && radiance[i as usize] != [0.0; 3])
         .map(node)
         .collect();
+    let total: f32 = lamps.iter().map(|l| l.flux().element_sum()).sum();
     Lighting {
         lamps,
-        remainder: strongest(strays),
+        remainder: strongest(strays, NEGLIGIBLE_SHARE * total),
         environment: Vec::new(),
         ambient,
         centre: grid.centre,
@@ -453,10 +457,17 @@ pub fn lighting(
     }
 }
 
-/// At most [`MAX_STRAYS`] nodes, the strongest; each takes the light of the weaker ones it is nearest to.
-fn strongest(mut strays: Vec<LightNode>) -> Vec<LightNode> {
+/// At most [`MAX_STRAYS`] nodes, the strongest; each takes the light of the weaker ones it is nearest to. The weakest are
+/// left out, up to the flux `negligible` of all of them.
+fn strongest(mut strays: Vec<LightNode>, mut negligible: f32) -> Vec<LightNode> {
     let strength = |n: &LightNode| n.flux().element_sum();
     strays.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
+    while let Some(weakest) = strays.last().map(strength)
+        && weakest <= negligible
+    {
+        negligible -= weakest;
+        strays.pop();
+    }
     let weaker = strays.split_off(strays.len().min(MAX_STRAYS));
     for node in weaker {
         let closeness = |n: &LightNode| n.direction.dot(node.direction);
