@@ -14,8 +14,8 @@ use glam::Vec3;
 
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
-use super::lobes::light_from;
 use super::lamps::fill_compact_lamps;
+use super::lobes::light_from;
 use super::model::{Brdf, SpecularModel};
 use super::observations::{Observations, Row, Sampling};
 use super::observer::{Interim, Iteration, Observer, Stopped, go_on};

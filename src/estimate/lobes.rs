@@ -111,11 +111,11 @@ impl<'a> CellLobes<'a> {
             None => strength.copy_from_slice(solid_angles),
         }
         if self.near.is_some() {
-            for c in 0..n {
-                let direction = self.geometry.directions[c];
+            let directions = self.geometry.directions.iter();
+            for (c, (&direction, strength)) in directions.zip(strength).enumerate() {
                 let (l, fall_off) = light_from(self.near, direction, position);
                 (out.x[c], out.y[c], out.z[c]) = l.into();
-                strength[c] *= fall_off;
+                *strength *= fall_off;
             }
         }
         let arch = pulp::Arch::new();

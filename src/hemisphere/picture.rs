@@ -260,9 +260,7 @@ fn pixels_near_light(
             }
         }
     }
-    (0..width * height)
-        .filter(|&i| near[i as usize])
-        .collect()
+    (0..width * height).filter(|&i| near[i as usize]).collect()
 }
 
 #[cfg(test)]

@@ -286,7 +286,8 @@ impl Footprints {
                 for s in covered {
                     let [a, b, c] = atlas.corner_uvs[s.triangle as usize];
                     let (u, v) = (s.barycentric.x, s.barycentric.y);
-                    all.taps.push(Tap::new(a * (1.0 - u - v) + b * u + c * v, size));
+                    all.taps
+                        .push(Tap::new(a * (1.0 - u - v) + b * u + c * v, size));
                 }
                 all.starts.push(all.taps.len() as u32);
                 all.scale.push(through / samples.full() as f32);

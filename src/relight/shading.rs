@@ -251,9 +251,7 @@ impl Group {
     /// The nodes to add up at a point: a few for all where these are seen alike and above the horizon, unless the
     /// distances between them matter.
     fn standing_for(&self, point: &ShadingPoint, seen: &Visibility, resolved: bool) -> &[Node] {
-        if resolved
-            || matches!(seen, Visibility::Part(_))
-            || self.horizon(point) != Horizon::Above
+        if resolved || matches!(seen, Visibility::Part(_)) || self.horizon(point) != Horizon::Above
         {
             &self.nodes
         } else {
