@@ -98,40 +98,44 @@ impl Question {
         lamp: Option<&str>,
     ) -> Answer {
         let mut answer = Answer::Nothing;
-        let modal = egui::Modal::new(egui::Id::unique("export")).show(ctx, |ui| {
-            ui.set_width(460.0);
-            ui.heading("Export");
-            ui.label("Pictures by the reference renderer, in the light of the look that is shown.");
-            ui.add_space(theme::GAP * 0.5);
-            egui::Grid::new("export settings")
-                .num_columns(2)
-                .spacing([16.0, 10.0])
-                .show(ui, |ui| {
-                    self.subject_ui(ui, cameras, lamp);
-                    self.size_ui(ui);
-                    self.files_ui(ui);
+        let modal = egui::Modal::new(egui::Id::unique("export"))
+            .frame(theme::dialog(ctx))
+            .show(ctx, |ui| {
+                ui.set_width(460.0);
+                ui.heading("Export");
+                ui.label(
+                    "Pictures by the reference renderer, in the light of the look that is shown.",
+                );
+                ui.add_space(theme::GAP * 0.5);
+                egui::Grid::new("export settings")
+                    .num_columns(2)
+                    .spacing([16.0, 8.0])
+                    .show(ui, |ui| {
+                        self.subject_ui(ui, cameras, lamp);
+                        self.size_ui(ui);
+                        self.files_ui(ui);
+                    });
+                ui.add_space(theme::GAP * 0.5);
+                let problem = self.problem();
+                ui.horizontal(|ui| {
+                    let button = theme::main_button(ui, "Choose folder…");
+                    let button = ui.add_enabled(problem.is_none(), button);
+                    let tip = "Choose where the files go, then export";
+                    if button
+                        .on_hover_text(tip)
+                        .on_disabled_hover_text(problem.unwrap_or_default())
+                        .clicked()
+                    {
+                        answer = Answer::Export;
+                    }
+                    if ui.button("Cancel").on_hover_text("Back to work").clicked() {
+                        answer = Answer::Closed;
+                    }
+                    if let Some(problem) = problem {
+                        ui.weak(problem);
+                    }
                 });
-            ui.add_space(theme::GAP * 0.5);
-            let problem = self.problem();
-            ui.horizontal(|ui| {
-                let button = theme::main_button(ui, "Choose folder…");
-                let button = ui.add_enabled(problem.is_none(), button);
-                let tip = "Choose where the files go, then export";
-                if button
-                    .on_hover_text(tip)
-                    .on_disabled_hover_text(problem.unwrap_or_default())
-                    .clicked()
-                {
-                    answer = Answer::Export;
-                }
-                if ui.button("Cancel").on_hover_text("Back to work").clicked() {
-                    answer = Answer::Closed;
-                }
-                if let Some(problem) = problem {
-                    ui.weak(problem);
-                }
             });
-        });
         if modal.should_close() && answer == Answer::Nothing {
             answer = Answer::Closed;
         }
@@ -150,47 +154,45 @@ impl Question {
     }
 
     fn subject_ui(&mut self, ui: &mut egui::Ui, cameras: usize, lamp: Option<&str>) {
-        ui.label("What");
-        ui.vertical(|ui| {
-            let choices = [
-                (Subject::View, "This view".to_owned(), true, ""),
-                (
-                    Subject::Cameras,
-                    match cameras {
-                        0 => "All input cameras".to_owned(),
-                        n => format!("All {n} input cameras"),
-                    },
-                    cameras > 0,
-                    "Open the capture for its cameras",
+        let choices = [
+            (Subject::View, "This view".to_owned(), true, ""),
+            (
+                Subject::Cameras,
+                match cameras {
+                    0 => "All input cameras".to_owned(),
+                    n => format!("All {n} input cameras"),
+                },
+                cameras > 0,
+                "Open the capture for its cameras",
+            ),
+            (
+                Subject::Turntable,
+                "A turn around the object".to_owned(),
+                true,
+                "",
+            ),
+            (
+                Subject::Lamp,
+                lamp.map_or_else(
+                    || "A turn of the selected lamp".to_owned(),
+                    |name| format!("A turn of {name}"),
                 ),
-                (
-                    Subject::Turntable,
-                    "A turn around the object".to_owned(),
-                    true,
-                    "",
-                ),
-                (
-                    Subject::Lamp,
-                    lamp.map_or_else(
-                        || "A turn of the selected lamp".to_owned(),
-                        |name| format!("A turn of {name}"),
-                    ),
-                    lamp.is_some(),
-                    "Select a lamp first",
-                ),
-            ];
-            for (subject, name, possible, why_not) in choices {
-                if !possible && self.subject == subject {
-                    self.subject = Subject::View;
-                }
-                let button = egui::RadioButton::new(self.subject == subject, name);
-                let response = ui.add_enabled(possible, button);
-                if response.on_disabled_hover_text(why_not).clicked() {
-                    self.subject = subject;
-                }
+                lamp.is_some(),
+                "Select a lamp first",
+            ),
+        ];
+        for (i, (subject, name, possible, why_not)) in choices.into_iter().enumerate() {
+            if !possible && self.subject == subject {
+                self.subject = Subject::View;
             }
-        });
-        ui.end_row();
+            ui.label(if i == 0 { "What" } else { "" });
+            let button = egui::RadioButton::new(self.subject == subject, name);
+            let response = ui.add_enabled(possible, button);
+            if response.on_disabled_hover_text(why_not).clicked() {
+                self.subject = subject;
+            }
+            ui.end_row();
+        }
         if self.is_moving() {
             ui.label("Frames");
             ui.horizontal(|ui| {
@@ -249,34 +251,38 @@ impl Question {
 
     fn files_ui(&mut self, ui: &mut egui::Ui) {
         ui.label("Files");
-        ui.vertical(|ui| {
-            ui.horizontal(|ui| {
-                ui.checkbox(&mut self.png, "PNG")
-                    .on_hover_text("As shown: exposure and view transform of the viewport");
-                ui.add_enabled_ui(self.png, |ui| {
-                    ui.selectable_value(&mut self.sixteen, false, "8 bit");
-                    ui.selectable_value(&mut self.sixteen, true, "16 bit");
-                });
+        ui.horizontal(|ui| {
+            ui.checkbox(&mut self.png, "PNG")
+                .on_hover_text("As shown: exposure and view transform of the viewport");
+            ui.add_enabled_ui(self.png, |ui| {
+                ui.selectable_value(&mut self.sixteen, false, "8 bit");
+                ui.selectable_value(&mut self.sixteen, true, "16 bit");
             });
-            ui.horizontal(|ui| {
-                ui.checkbox(&mut self.exr, "EXR")
-                    .on_hover_text("Linear radiance, 32-bit float, premultiplied alpha");
-                ui.add_enabled(self.exr, egui::Checkbox::new(&mut self.layers, "Layers"))
-                    .on_hover_text(
-                        "Diffuse, specular, albedo, normal and depth beside the picture",
-                    );
-            });
-            if self.is_moving() {
-                ui.checkbox(&mut self.animation, "Animated PNG")
-                    .on_hover_text("One file that browsers play");
-            }
-            let shown = self.png || self.is_moving() && self.animation;
-            let transparent = egui::Checkbox::new(&mut self.transparent, "Transparent background");
-            ui.add_enabled(shown, transparent)
-                .on_hover_text("Without it, PNG files have the grey of the viewport");
-            ui.checkbox(&mut self.edits, "Edits for the command line")
-                .on_hover_text("A JSON file with which rekindle render --edits gives this light");
         });
+        ui.end_row();
+        ui.label("");
+        ui.horizontal(|ui| {
+            ui.checkbox(&mut self.exr, "EXR")
+                .on_hover_text("Linear radiance, 32-bit float, premultiplied alpha");
+            ui.add_enabled(self.exr, egui::Checkbox::new(&mut self.layers, "Layers"))
+                .on_hover_text("Diffuse, specular, albedo, normal and depth beside the picture");
+        });
+        ui.end_row();
+        if self.is_moving() {
+            ui.label("");
+            ui.checkbox(&mut self.animation, "Animated PNG")
+                .on_hover_text("One file that browsers play");
+            ui.end_row();
+        }
+        ui.label("");
+        ui.checkbox(&mut self.edits, "Edits for the command line")
+            .on_hover_text("A JSON file with which rekindle render --edits gives this light");
+        ui.end_row();
+        ui.label("Background");
+        let shown = self.png || self.is_moving() && self.animation;
+        let transparent = egui::Checkbox::new(&mut self.transparent, "Transparent");
+        ui.add_enabled(shown, transparent)
+            .on_hover_text("Without it, PNG files have the background of the viewport");
         ui.end_row();
     }
 

@@ -63,7 +63,10 @@ impl LitDisc {
             .picture
             .as_ref()
             .map(|(_, picture)| self.texture.of(ui.ctx(), picture, exposure));
-        let side = ui.available_width().min(300.0);
+        // In a low window the list below needs the room.
+        let side = ui
+            .available_width()
+            .min(0.34 * ui.ctx().content_rect().height());
         let (response, disc) = ui
             .vertical_centered(|ui| {
                 let name = "Lit hemisphere";

@@ -141,6 +141,9 @@ fn swatch(ui: &mut egui::Ui, base: &Baseline, lamp: &Lamp, dark: bool) {
             .rect_stroke(rect, corner, Stroke::new(1.5, hue), inside);
     } else {
         ui.painter().rect_filled(rect, corner, hue);
+        let line = Stroke::new(1.0, theme::palette(ui).line);
+        let outside = egui::StrokeKind::Outside;
+        ui.painter().rect_stroke(rect, corner, line, outside);
     }
 }
 

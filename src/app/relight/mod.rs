@@ -190,7 +190,11 @@ impl Relighting {
             .show(ui, |ui| {
                 egui::ScrollArea::vertical()
                     .auto_shrink(false)
-                    .show(ui, |ui| self.side_ui(ui, shared));
+                    .show(ui, |ui| {
+                        // Room for the scroll bar.
+                        ui.set_max_width(ui.available_width() - 10.0);
+                        self.side_ui(ui, shared);
+                    });
             });
         egui::CentralPanel::default()
             .frame(theme::stage())
