@@ -77,7 +77,7 @@ fn the_demo_is_relit_exported_saved_and_comes_back_with_the_same_pixels() {
     drag(
         &mut window,
         mark.center(),
-        disc.center() + 0.3 * vec2(-disc.width(), disc.height()),
+        disc.center() + 0.3 * vec2(disc.width(), -disc.height()),
     );
     let moved = window.get_by_label("Light 1 on the hemisphere").rect();
     assert!(

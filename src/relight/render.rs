@@ -115,7 +115,17 @@ pub fn render_bands(
         if stop() {
             return ControlFlow::Break(());
         }
-        let samples = Samples::trace(scene.mesh, scene.occluder, camera, rows.clone(), FACTOR);
+        let samples = Samples::trace(
+            scene.mesh,
+            scene.occluder,
+            camera,
+            rows.clone(),
+            FACTOR,
+            stop,
+        );
+        if stop() {
+            return ControlFlow::Break(());
+        }
         let pixels = render_band(scene, camera, shader, diffuse, &samples, stop);
         if stop() {
             return ControlFlow::Break(());

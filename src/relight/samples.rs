@@ -5,7 +5,7 @@ use std::ops::Range;
 use glam::Vec2;
 use rayon::prelude::*;
 
-use super::render::TILE;
+use super::render::{Stop, TILE};
 use crate::capture::{Camera, Mesh};
 use crate::surface::{NO_TRIANGLE, Occluder, barycentric_at, front_most};
 
@@ -47,13 +47,14 @@ impl Samples {
         (self.factor * self.factor) as usize
     }
 
-    /// Traces `rows` of the picture that `camera` takes.
+    /// Traces `rows` of the picture that `camera` takes. Where `stop` says so, rows stay empty.
     pub fn trace(
         mesh: &Mesh,
         occluder: &Occluder,
         camera: &Camera,
         rows: Range<usize>,
         factor: u32,
+        stop: Stop,
     ) -> Self {
         let mut fine = camera.supersampled(factor);
         fine.centre.y -= f64::from(rows.start as u32 * factor);
@@ -66,6 +67,9 @@ impl Samples {
                 let mut ends = Vec::with_capacity(width);
                 let mut samples = Vec::new();
                 for x in 0..width {
+                    if x.is_multiple_of(TILE) && stop() {
+                        return (vec![0; width], Vec::new());
+                    }
                     for slot in 0..factor_ * factor_ {
                         let (fx, fy) =
                             (x * factor_ + slot % factor_, row * factor_ + slot / factor_);
