@@ -4,7 +4,7 @@ mod driver;
 
 use std::path::Path;
 
-use driver::{Window, click, coarse, drop_on, has, has_part, wait, wait_for, window};
+use driver::{Window, click, coarse, drop_on, has, has_part, wait_for, window};
 use eframe::egui::{self, Modifiers, Pos2, vec2};
 use egui_kittest::kittest::Queryable as _;
 
@@ -47,7 +47,7 @@ fn export(window: &mut Window, folder: &Path) -> Vec<u8> {
     }
     click(window, "Choose folder…");
     give_path(window, folder);
-    wait(window, "the picture", |_| folder.is_dir());
+    wait_for(window, "Exported");
     let pictures: Vec<_> = std::fs::read_dir(folder)
         .expect("a folder")
         .map(|entry| entry.expect("an entry").path())
@@ -85,7 +85,6 @@ fn the_demo_is_relit_exported_saved_and_comes_back_with_the_same_pixels() {
         "it was moved"
     );
     let first = export(&mut window, &folder.path().join("first"));
-    wait_for(&mut window, "Exported");
 
     key(&mut window, Modifiers::COMMAND, egui::Key::S);
     give_path(&mut window, &folder.path().join("evening"));

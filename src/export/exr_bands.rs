@@ -13,8 +13,7 @@ use exr::meta::header::Header;
 use exr::prelude::{Compression, LineOrder, Vec2};
 use rayon::prelude::*;
 
-/// Rows of a compressed block. Bands are whole blocks, but for the last.
-pub(super) const BLOCK_ROWS: usize = 16;
+use crate::relight::Stop;
 
 /// Takes the next rows of a picture: for each channel its values, row by row.
 pub(super) type Sink<'a> = dyn FnMut(&[Vec<f32>]) -> io::Result<()> + 'a;
@@ -27,11 +26,12 @@ fn to_io(error: exr::error::Error) -> io::Error {
 }
 
 /// Writes a picture of `size` (width, height) pixels. `channels` are in alphabetical order, and `produce` gives their values
-/// to the sink from the top, in bands of [`BLOCK_ROWS`] rows or multiples of it.
+/// to the sink from the top, in whole rows. Fails soon after `stop` says so.
 pub(super) fn write(
     path: &Path,
     [width, height]: [u32; 2],
     channels: &[&str],
+    stop: Stop,
     produce: impl FnOnce(&mut Sink) -> io::Result<()>,
 ) -> io::Result<()> {
     let names = channels.iter().map(|name| {
@@ -41,7 +41,7 @@ pub(super) fn write(
     let names = names.collect::<io::Result<_>>()?;
     let width = width as usize;
     let header = Header::new(Text::default(), (width, height as usize), names).with_encoding(
-        Compression::ZIP16,
+        Compression::ZIP1,
         BlockDescription::ScanLines,
         LineOrder::Increasing,
     );
@@ -55,22 +55,24 @@ pub(super) fn write(
         |_, writer| {
             let mut sink = |planes: &[Vec<f32>]| {
                 let rows = planes.first().map_or(0, |p| p.len() / width.max(1));
-                let chunks: Vec<Chunk> = (0..rows.div_ceil(BLOCK_ROWS))
+                // A row is a block: what is compressed at once is small, so that a stop is heard.
+                let chunks: Vec<Chunk> = (0..rows)
                     .into_par_iter()
-                    .map(|block| {
-                        let first = block * BLOCK_ROWS;
-                        let last = (first + BLOCK_ROWS).min(rows);
+                    .map(|row| {
+                        if stop() {
+                            return Err(io::Error::other("stopped"));
+                        }
                         let index = BlockIndex {
                             layer: 0,
-                            pixel_position: Vec2(0, next * BLOCK_ROWS + first),
-                            pixel_size: Vec2(width, last - first),
+                            pixel_position: Vec2(0, next + row),
+                            pixel_size: Vec2(width, 1),
                             level: Vec2(0, 0),
                         };
-                        let data = lines(planes, width, first..last);
-                        UncompressedBlock { index, data }.compress_to_chunk(&headers)
+                        let data = line(planes, width, row);
+                        let block = UncompressedBlock { index, data };
+                        block.compress_to_chunk(&headers).map_err(to_io)
                     })
-                    .collect::<Result<_, _>>()
-                    .map_err(to_io)?;
+                    .collect::<io::Result<_>>()?;
                 for chunk in chunks {
                     writer.write_chunk(next, chunk).map_err(to_io)?;
                     next += 1;
@@ -83,14 +85,12 @@ pub(super) fn write(
     .map_err(to_io)
 }
 
-/// The bytes of some rows: row by row, and in each row channel by channel.
-fn lines(planes: &[Vec<f32>], width: usize, rows: std::ops::Range<usize>) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(4 * planes.len() * width * rows.len());
-    for row in rows {
-        for plane in planes {
-            for value in &plane[row * width..(row + 1) * width] {
-                bytes.extend_from_slice(&value.to_ne_bytes());
-            }
+/// The bytes of a row: channel by channel.
+fn line(planes: &[Vec<f32>], width: usize, row: usize) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(4 * planes.len() * width);
+    for plane in planes {
+        for value in &plane[row * width..(row + 1) * width] {
+            bytes.extend_from_slice(&value.to_ne_bytes());
         }
     }
     bytes

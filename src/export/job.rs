@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::Vec3;
+use rayon::prelude::*;
 use serde_json::Value;
 use thiserror::Error;
 
@@ -278,7 +279,7 @@ impl Writer<'_> {
             let name = format!("{}.exr", shot.stem);
             let path = self.folder.join(&name);
             let channels: &[&str] = if layers { &LAYERED } else { &CHANNELS };
-            exr_bands::write(&path, size, channels, |sink| render(Some(sink)))?;
+            exr_bands::write(&path, size, channels, stop, |sink| render(Some(sink)))?;
             self.files.push(name);
         } else {
             render(None)?;
@@ -349,24 +350,28 @@ fn planes(
     if !layers {
         return planes;
     }
-    let mut albedo = Vec::with_capacity(rgb.len());
-    let mut normals = Vec::with_capacity(rgb.len());
-    let mut depths = Vec::with_capacity(rgb.len());
-    for i in 0..rgb.len() {
-        let samples = band.samples.of(i);
-        let (mut colour, mut normal, mut depth) = (Vec3::ZERO, Vec3::ZERO, 0.0);
-        for s in samples {
-            let point = ShadingPoint::on(&solution.mesh, s.triangle, s.barycentric);
-            colour += solution
-                .atlas
-                .sample(&solution.albedo, s.triangle, s.barycentric);
-            normal += point.normal;
-            depth -= camera.to_camera(point.position.as_dvec3()).z as f32;
-        }
-        albedo.push((colour / band.samples.full() as f32).to_array());
-        normals.push(normal.normalize_or_zero().to_array());
-        depths.push(depth / samples.len().max(1) as f32);
-    }
+    let pixels: Vec<([f32; 3], [f32; 3], f32)> = (0..rgb.len())
+        .into_par_iter()
+        .map(|i| {
+            let samples = band.samples.of(i);
+            let (mut colour, mut normal, mut depth) = (Vec3::ZERO, Vec3::ZERO, 0.0);
+            for s in samples {
+                let point = ShadingPoint::on(&solution.mesh, s.triangle, s.barycentric);
+                colour += solution
+                    .atlas
+                    .sample(&solution.albedo, s.triangle, s.barycentric);
+                normal += point.normal;
+                depth -= camera.to_camera(point.position.as_dvec3()).z as f32;
+            }
+            (
+                (colour / band.samples.full() as f32).to_array(),
+                normal.normalize_or_zero().to_array(),
+                depth / samples.len().max(1) as f32,
+            )
+        })
+        .collect();
+    let depths = pixels.iter().map(|p| p.2).collect();
+    let (albedo, normals): (Vec<_>, Vec<_>) = pixels.into_iter().map(|p| (p.0, p.1)).unzip();
     planes.push(depths);
     planes.extend(all(&albedo));
     planes.extend(all(&band.diffuse));

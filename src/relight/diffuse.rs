@@ -267,7 +267,8 @@ impl Footprints {
             weight: Vec::new(),
         };
         for rows in bands(camera, factor) {
-            let samples = Samples::trace(scene.mesh, scene.occluder, camera, rows, factor);
+            let samples =
+                Samples::trace(scene.mesh, scene.occluder, camera, rows, factor, &|| false);
             let specular = specular_band(scene, camera, shader, &samples);
             let first = samples.rows.start * samples.width;
             for (index, &specular) in specular.iter().enumerate() {
