@@ -37,11 +37,17 @@ struct Frame {
     row_words: u32,
     /// What the shadow mode shows: a lamp's place in the visibility texture, or 256 + its shadow map.
     shown_lamp: u32,
+    /// Nodes of the hierarchy, 0 where the surface doesn't mirror itself.
+    walk_nodes: u32,
+    /// Which of a lobe's sixteen half vectors this frame traces; 16 is the middle of all.
+    half_vector: u32,
     /// Irradiance by the ambient part where its layer is not baked yet.
     ambient: vec3f,
     /// Irradiance unit over radiance unit.
     irradiance_scale: f32,
-    pad: vec3f,
+    pad: vec2f,
+    /// Radius of a sphere about the centre that holds the object.
+    radius: f32,
     /// Factor of the albedo when it is shown.
     shown_albedo: f32,
 }

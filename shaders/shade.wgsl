@@ -5,6 +5,7 @@
 
 #import frame.wgsl
 #import fullscreen.wgsl
+#import mirror.wgsl
 #import surface.wgsl
 
 struct Lobe {
@@ -228,6 +229,37 @@ const STORED: u32 = 1u;
 const COVERAGE: u32 = 2u;
 const LARGEST: f32 = 6e4;
 
+/// Specular reflection of other parts of the surface.
+fn mirrored(brdf: Brdf, triangle: Triangle, surface: Surface, view: vec3f) -> vec3f {
+    let open = min(vertices[triangle.corners.x].openness,
+        min(vertices[triangle.corners.y].openness, vertices[triangle.corners.z].openness));
+    // Nothing of the surface is in sight of what sees the whole sky.
+    if (frame.walk_nodes == 0u || open >= 1.0) {
+        return vec3f(0.0);
+    }
+    let ray = mirror_ray(brdf, surface.normal, view);
+    if (ray.weight <= 0.0 || dot(ray.direction, surface.face_normal) <= 0.0) {
+        return vec3f(0.0);
+    }
+    let hit = trace(surface.position + surface.face_normal * (ORIGIN_LIFT * frame.radius), ray.direction);
+    if (hit.triangle == NOTHING) {
+        return vec3f(0.0);
+    }
+    let there = surface_at(triangles[hit.triangle], hit.weights);
+    let cosine = -dot(there.normal, ray.direction);
+    if (cosine <= 0.0 || dot(there.face_normal, ray.direction) >= 0.0) {
+        return vec3f(0.0);
+    }
+    var radiance: vec3f;
+    if ((frame.flags & STORED) != 0u) {
+        radiance = textureSampleLevel(diffuse_texture, linear_sampler, there.uv, 0.0).rgb;
+    } else {
+        radiance = textureSampleLevel(albedo_texture, linear_sampler, there.uv, 0.0).rgb
+            * (textureSampleLevel(irradiance_texture, linear_sampler, there.light_uv, 0.0).rgb + frame.ambient);
+    }
+    return radiance * (ray.weight * diffuse_transmittance(brdf, cosine));
+}
+
 /// What a lamp's shadow mode shows.
 fn shown_visibility() -> f32 {
     let at = frame.shown_lamp;
@@ -282,6 +314,9 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
     let irradiance = baked + sum.irradiance + frame.ambient;
     if (frame.mode == IRRADIANCE) {
         return min(irradiance, vec3f(LARGEST));
+    }
+    if (frame.mode != DIFFUSE) {
+        sum.specular += mirrored(brdf, triangle, surface, view);
     }
     let through = diffuse_transmittance(brdf, dot(surface.normal, view));
     let diffuse = select(albedo * irradiance, stored.rgb, (frame.flags & STORED) != 0u) * through;

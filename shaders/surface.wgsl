@@ -2,6 +2,8 @@
 
 struct Vertex {
     position: vec3f,
+    /// Part of the sky that nothing hides.
+    openness: f32,
     normal: vec3f,
 }
 

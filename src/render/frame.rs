@@ -35,10 +35,12 @@ pub(super) struct Frame {
     pub first_word: u32,
     pub row_words: u32,
     pub shown_lamp: u32,
-    pub pad: [u32; 2],
+    pub walk_nodes: u32,
+    pub half_vector: u32,
     pub ambient: [f32; 3],
     pub irradiance_scale: f32,
-    pub pad2: [f32; 3],
+    pub pad: [f32; 2],
+    pub radius: f32,
     pub shown_albedo: f32,
 }
 
@@ -114,5 +116,6 @@ impl Frame {
         // As far as the object allows, so that nothing of it is cut off.
         self.near = (eye.length() - 1.01 * radius).max(1e-3 * radius);
         self.size = size.map(|s| s as f32);
+        self.radius = radius;
     }
 }

@@ -22,6 +22,8 @@ const STILL: usize = 32;
 pub(super) const SLOTS: usize = 24;
 /// Words of four visibilities that a frame reads.
 const SLOT_WORDS: usize = SLOTS / 4;
+/// The one of them that says how much of the sky is seen: for light that is not baked.
+const OPENNESS: usize = SLOTS - 1;
 /// Lamps whose visibility has a place in the texture.
 pub(super) const MAX_LAMPS: usize = 32;
 /// Largest variance of a lamp's lobe, in parts of that of the surface's lobe.
@@ -96,12 +98,12 @@ impl Lists {
     }
 
     /// The lobes for a surface with the roughness `sigma`, if it has a specular part. `unit` is the unit of radiance,
-    /// `vertices` the number of vertices, `row_limit` the bytes that their visibilities may take.
+    /// `openness` the part of the sky that each vertex sees, `row_limit` the bytes that visibilities may take.
     pub(super) fn new(
         lit: &[Lit],
         sigma: Option<f32>,
         unit: f32,
-        vertices: usize,
+        openness: &[u8],
         row_limit: u64,
     ) -> Self {
         let variance = sigma.map_or(0.1, |s| s * s);
@@ -137,7 +139,8 @@ impl Lists {
             .iter()
             .flat_map(|l| lamp_lobes(l, if l.baked { usize::MAX } else { most }))
             .collect();
-        // Light without a baked visibility is seen by all, wide lobes of it at a time.
+        let soft = SoftLight::new(lit, SOFT_SPREAD * variance, openness, row_limit);
+        // Of light that isn't baked a vertex sees as much as of the sky.
         let bare: Vec<GpuLobe> = lit
             .iter()
             .filter(|l| {
@@ -146,20 +149,20 @@ impl Lists {
             .flat_map(|l| {
                 merge(l.part.sources(), SOFT_SPREAD * variance, MOVING)
                     .into_iter()
-                    .map(|lobe| writer(&lobe, Hidden::Nothing, 0, true, l.part.radius()))
+                    .map(|lobe| writer(&lobe, soft.hidden(), OPENNESS, true, l.part.radius()))
             })
             .collect();
-        let soft = SoftLight::new(lit, SOFT_SPREAD * variance, vertices, row_limit);
-        let few = soft.fine.len() <= MOVING;
+        // Their words are the first, so nothing is refined in windows as long as there are such.
+        let few = soft.fine.len() <= MOVING || !bare.is_empty();
         let wide: Vec<GpuLobe> = soft
-            .wide(few)
+            .wide()
             .iter()
             .enumerate()
             .map(|(slot, (lobe, radius))| writer(lobe, soft.hidden(), slot, false, *radius))
             .collect();
         lists.moving = lists.push(&[&moving_lamps, &bare, &wide]);
         let mut rest: Vec<(GpuLobe, Option<u32>)> = Vec::new();
-        let lamps_in_windows = still_lamps.len() > STILL;
+        let lamps_in_windows = still_lamps.len() > STILL && bare.is_empty();
         if lamps_in_windows {
             rest.extend(still_lamps.iter().map(|l| (*l, None)));
         }
@@ -176,7 +179,7 @@ impl Lists {
             if few { &wide } else { none },
         ]);
         lists.add_windows(&rest);
-        (lists.row_words, lists.rows) = soft.rows(few, vertices);
+        (lists.row_words, lists.rows) = soft.rows();
         lists
     }
 
@@ -233,6 +236,7 @@ impl Lists {
 
 /// All light that is baked but no lamp.
 struct SoftLight<'a> {
+    openness: &'a [u8],
     /// Parts with the number of their first group.
     parts: Vec<(&'a Soft, usize)>,
     groups: usize,
@@ -245,8 +249,9 @@ struct SoftLight<'a> {
 }
 
 impl<'a> SoftLight<'a> {
-    fn new(lit: &[Lit<'a>], spread: f32, vertices: usize, row_limit: u64) -> Self {
+    fn new(lit: &[Lit<'a>], spread: f32, openness: &'a [u8], row_limit: u64) -> Self {
         let mut light = Self {
+            openness,
             parts: Vec::new(),
             groups: 0,
             fine: Vec::new(),
@@ -279,7 +284,7 @@ impl<'a> SoftLight<'a> {
                     .map(|lobe| (lobe, radius)),
             );
         }
-        light.hides = light.row_words() as u64 * 4 * vertices as u64 <= row_limit;
+        light.hides = light.row_words() as u64 * 4 * openness.len() as u64 <= row_limit;
         light
     }
 
@@ -297,18 +302,22 @@ impl<'a> SoftLight<'a> {
     }
 
     /// The lobes of a frame in which not all have room.
-    fn wide(&self, few: bool) -> &[(Lobe, Option<f32>)] {
-        if few { &self.fine } else { &self.coarse }
+    fn wide(&self) -> &[(Lobe, Option<f32>)] {
+        if self.fine.len() <= MOVING {
+            &self.fine
+        } else {
+            &self.coarse
+        }
     }
 
     /// Words per vertex and the rows: first what each wide lobe's groups are seen of in the mean, then every group.
-    fn rows(&self, few: bool, vertices: usize) -> (u32, Vec<u32>) {
-        if self.groups == 0 || !self.hides {
+    fn rows(&self) -> (u32, Vec<u32>) {
+        if !self.hides {
             return (0, Vec::new());
         }
         let words = self.row_words();
-        let wide = self.wide(few);
-        let mut rows = vec![0_u32; words * vertices];
+        let wide = self.wide();
+        let mut rows = vec![0_u32; words * self.openness.len()];
         let mut seen = vec![0_u8; self.groups];
         for (v, row) in rows.chunks_mut(words).enumerate() {
             for (soft, first) in &self.parts {
@@ -323,6 +332,7 @@ impl<'a> SoftLight<'a> {
                     .sum();
                 row[slot / 4] |= ((mean + 0.5) as u32).min(255) << (8 * (slot % 4));
             }
+            row[OPENNESS / 4] |= u32::from(self.openness[v]) << (8 * (OPENNESS % 4));
             for (group, &byte) in seen.iter().enumerate() {
                 row[SLOT_WORDS + group / 4] |= u32::from(byte) << (8 * (group % 4));
             }
@@ -407,7 +417,7 @@ mod tests {
                 soft: (part.kind == PartKind::Environment).then_some(&soft),
             })
             .collect();
-        Lists::new(&lit, Some(sigma), 1.0, 2, 1 << 20)
+        Lists::new(&lit, Some(sigma), 1.0, &[200, 255], 1 << 20)
     }
 
     fn flux(lobes: &[GpuLobe]) -> f32 {

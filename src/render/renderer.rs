@@ -28,6 +28,9 @@ use crate::relight::{Lighting, Shader, ShadingPoint};
 /// Baked parts of the light that are kept although the lighting has them no more: for undo, and to compare looks.
 const SPARE_LAYERS: usize = 16;
 
+/// Storage buffers that a shader reads.
+const STORAGE_BUFFERS: u32 = 6;
+
 /// A picture on the device.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown<'a> {
@@ -39,6 +42,14 @@ pub struct Shown<'a> {
     pub settled: bool,
 }
 
+/// What the baker was asked for.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Ordered {
+    None,
+    Drafts,
+    All,
+}
+
 /// A part of the light that is baked.
 struct Layer {
     id: u64,
@@ -46,6 +57,8 @@ struct Layer {
     texture: LayerTexture,
     visibility: Vec<u8>,
     soft: Option<Soft>,
+    /// Whether the exact one is still to come.
+    draft: bool,
     /// Number of the lighting that used it last.
     used: u64,
 }
@@ -138,18 +151,18 @@ pub struct Renderer {
     displayed: Option<Display>,
     /// Frames of the still picture so far.
     refined: u32,
-    /// Whether orders are waiting for a drag to end.
-    unordered: bool,
+    /// Parts that were ordered for the light as it is: none, drafts alone, or all.
+    ordered: Ordered,
 }
 
 impl Renderer {
     /// Makes all pipelines. Takes a tenth of a second on a software driver.
     pub fn new(gpu: Gpu) -> Result<Self, RenderError> {
         let limits = gpu.device().limits();
-        if limits.max_storage_buffers_per_shader_stage < 2 {
+        if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFERS {
             return Err(RenderError::Limit {
                 what: "the renderer's shaders, in storage buffers,".to_owned(),
-                needed: 2,
+                needed: STORAGE_BUFFERS.into(),
                 allowed: limits.max_storage_buffers_per_shader_stage.into(),
                 advice: "install a Vulkan driver",
             });
@@ -175,7 +188,7 @@ impl Renderer {
             drawn: None,
             displayed: None,
             refined: 0,
-            unordered: false,
+            ordered: Ordered::All,
             gpu,
         })
     }
@@ -261,10 +274,12 @@ impl Renderer {
     /// Whether the last picture is final: baked exactly and refined.
     pub fn is_settled(&self) -> bool {
         !self.needs_redraw()
-            && self
-                .loaded
-                .as_ref()
-                .is_some_and(|l| l.light.parts.iter().all(|p| l.layer(p.id).is_some()))
+            && self.loaded.as_ref().is_some_and(|l| {
+                l.light
+                    .parts
+                    .iter()
+                    .all(|p| l.layer(p.id).is_some_and(|layer| !layer.draft))
+            })
     }
 
     /// Draws a picture, or makes the last one better if it is the same that is asked for.
@@ -272,9 +287,11 @@ impl Renderer {
         self.gpu.check()?;
         let size = [request.camera.width.max(1), request.camera.height.max(1)];
         self.take_baked()?;
-        if !request.dragging {
-            self.order();
-        }
+        self.order(if request.dragging {
+            Ordered::Drafts
+        } else {
+            Ordered::All
+        });
         self.make_targets(size)?;
         self.update_light_picture(request.background)?;
         let key = PictureKey {
@@ -399,7 +416,7 @@ impl Renderer {
             .collect();
         loaded.light.parts = current;
         loaded.forget(self.light_number);
-        self.unordered = true;
+        self.ordered = Ordered::None;
         self.refresh()
     }
 
@@ -456,11 +473,15 @@ impl Renderer {
             };
             let atlas = &loaded.surface.light_atlas;
             // A result for the surface before this one has another size.
-            if baked.irradiance.len() != atlas.len() || loaded.layer(baked.id).is_some() {
+            let known = loaded
+                .layer(baked.id)
+                .is_some_and(|layer| baked.draft || !layer.draft);
+            if baked.irradiance.len() != atlas.len() || known {
                 continue;
             }
             let Baked {
                 id,
+                draft,
                 irradiance,
                 visibility,
                 groups,
@@ -469,8 +490,10 @@ impl Renderer {
             let texture =
                 self.combine
                     .upload(&self.gpu, [atlas.width, atlas.height], &bits(&irradiance))?;
+            loaded.layers.retain(|layer| layer.id != id);
             loaded.layers.push(Layer {
                 id,
+                draft,
                 shape: current.part.shape.clone(),
                 texture,
                 visibility,
@@ -482,21 +505,27 @@ impl Renderer {
         if changed { self.refresh() } else { Ok(()) }
     }
 
-    /// Asks the baker for all parts that are not baked.
-    fn order(&mut self) {
+    /// Asks the baker for all parts that are not baked; while a lamp is dragged, for drafts of what has drafts.
+    fn order(&mut self, wanted: Ordered) {
         let Some(loaded) = &self.loaded else { return };
-        if !std::mem::take(&mut self.unordered) {
+        if self.ordered >= wanted {
             return;
         }
+        self.ordered = wanted;
+        let draft = wanted == Ordered::Drafts;
         let orders: Vec<Order> = loaded
             .light
             .parts
             .iter()
-            .filter(|current| loaded.layer(current.id).is_none())
             .map(|current| Order {
                 id: current.id,
                 shape: current.part.shape.clone(),
                 lamp: matches!(current.part.kind, PartKind::Lamp(_)),
+                draft,
+            })
+            .filter(|order| match loaded.layer(order.id) {
+                None => !(draft && order.lamp),
+                Some(layer) => layer.draft && !draft,
             })
             .collect();
         self.baker.request(&loaded.surface, orders);
@@ -566,6 +595,8 @@ impl Renderer {
             ambient: light.ambient.to_array(),
             irradiance_scale: surface.albedo_unit,
             shown_albedo: 1.0,
+            walk_nodes: loaded.buffers.walk_nodes,
+            half_vector: MEAN_HALF_VECTOR,
             shown_lamp: match request.mode {
                 Mode::Shadow(lamp) => light.shown_lamps.get(lamp).copied().unwrap_or(NOT_SHOWN),
                 _ => NOT_SHOWN,
@@ -634,6 +665,7 @@ impl Renderer {
             return Ok(());
         }
         frame.always = [light.always.range.start, light.always.range.end];
+        frame.half_vector = self.refined % lists::PLACES;
         frame.first_word = light.always.first_word;
         if !light.windows.is_empty() {
             let window = &light.windows[self.refined as usize % light.windows.len()];
@@ -692,6 +724,9 @@ impl Renderer {
 
 /// Neither a place in the visibility texture nor a shadow map: seen by all.
 const NOT_SHOWN: u32 = 256 + MAX_SHADOW_MAPS as u32;
+
+/// Not one of a lobe's half vectors but the middle of all.
+const MEAN_HALF_VECTOR: u32 = lists::PLACES;
 
 /// A copy of a picture on its way from the device.
 pub struct PendingImage {
@@ -821,13 +856,7 @@ impl Loaded {
         }
         let limit = gpu.device().limits().max_storage_buffer_binding_size;
         let sigma = solution.brdf.map(|b| b.sigma);
-        let lists = Lists::new(
-            &lit,
-            sigma,
-            surface.unit,
-            solution.mesh.positions.len(),
-            limit,
-        );
+        let lists = Lists::new(&lit, sigma, surface.unit, &surface.openness, limit);
         Light {
             stored: self.lighting == surface.original,
             parts: current,

@@ -92,6 +92,8 @@ impl ShadePass {
                 shader::bind_buffer(6, scene.lobes),
                 shader::bind_buffer(7, scene.soft),
                 shader::bind_buffer(8, scene.shadows),
+                shader::bind_buffer(9, &scene.surface.walk),
+                shader::bind_buffer(10, &scene.surface.walk_triangles),
             ],
         })
     }
@@ -129,7 +131,7 @@ impl ShadePass {
     }
 }
 
-fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 9] {
+fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 11] {
     let fragment = wgpu::ShaderStages::FRAGMENT;
     let texture = |binding, sample_type, view_dimension| wgpu::BindGroupLayoutEntry {
         binding,
@@ -159,5 +161,7 @@ fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 9] {
         shader::storage(6),
         shader::storage(7),
         shader::uniform(8),
+        shader::storage(9),
+        shader::storage(10),
     ]
 }

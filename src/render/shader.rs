@@ -5,7 +5,7 @@ use super::error::RenderError;
 use super::gpu::Gpu;
 
 /// Every file of `shaders/`.
-const FILES: [(&str, &str); 11] = [
+const FILES: [(&str, &str); 12] = [
     (
         "accumulate.wgsl",
         include_str!("../../shaders/accumulate.wgsl"),
@@ -18,6 +18,7 @@ const FILES: [(&str, &str); 11] = [
         "fullscreen.wgsl",
         include_str!("../../shaders/fullscreen.wgsl"),
     ),
+    ("mirror.wgsl", include_str!("../../shaders/mirror.wgsl")),
     ("shade.wgsl", include_str!("../../shaders/shade.wgsl")),
     ("shadow.wgsl", include_str!("../../shaders/shadow.wgsl")),
     ("surface.wgsl", include_str!("../../shaders/surface.wgsl")),

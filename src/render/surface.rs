@@ -10,7 +10,9 @@ use rayon::prelude::*;
 use super::error::RenderError;
 use super::gpu::Gpu;
 use super::shader;
-use crate::relight::{Interreflection, Lighting, Scene, Surroundings};
+use crate::capture::Mesh;
+use crate::math::GOLDEN_ANGLE;
+use crate::relight::{Interreflection, Lighting, Scene};
 use crate::solution::Solution;
 use crate::surface::{Atlas, Occluder};
 
@@ -33,6 +35,9 @@ pub struct Surface {
     pub(super) albedo_unit: f32,
     /// The light of the capture.
     pub(super) original: Lighting,
+    /// Per vertex the part of the sky that nothing hides, weighted by the cosine, 0 to 255: what is known of the visibility
+    /// of any light before it is baked.
+    pub(super) openness: Vec<u8>,
     /// Cast when the first light is baked.
     interreflection: OnceLock<Option<Interreflection>>,
 }
@@ -42,7 +47,7 @@ pub struct Surface {
 #[derive(Clone, Copy, Default, Pod, Zeroable)]
 struct GpuVertex {
     position: [f32; 3],
-    pad: u32,
+    openness: f32,
     normal: [f32; 3],
     pad2: u32,
 }
@@ -57,8 +62,25 @@ struct GpuTriangle {
     uvs: [[f32; 2]; 6],
 }
 
+/// Mirror of `WalkNode` in `mirror.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Default, Pod, Zeroable)]
+struct GpuWalkNode {
+    low: [f32; 3],
+    /// The next node for a ray that misses the box; of a leaf the first of its triangles.
+    next: u32,
+    high: [f32; 3],
+    count: u32,
+}
+
 /// The surface's copy on the device.
 pub(super) struct SurfaceBuffers {
+    /// The hierarchy of the triangles for rays that the surface mirrors, and the list of triangles it refers to. Empty where
+    /// nothing is mirrored, or where the device has no room for it.
+    pub walk: wgpu::Buffer,
+    pub walk_triangles: wgpu::Buffer,
+    /// Number of the hierarchy's nodes.
+    pub walk_nodes: u32,
     /// Binds vertices and triangles.
     pub group: wgpu::BindGroup,
     /// Three for each triangle.
@@ -80,6 +102,11 @@ pub(super) fn surface_layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
 impl Surface {
     /// Makes a solution ready.
     pub fn new(solution: Arc<Solution>) -> Self {
+        Self::with_light_texels(solution, LIGHT_TEXELS)
+    }
+
+    /// The same with about so many texels for baked light.
+    pub(super) fn with_light_texels(solution: Arc<Solution>, texels: f32) -> Self {
         let mesh = &solution.mesh;
         let (low, high) = mesh.bounds();
         let centre = if low.is_finite() && high.is_finite() {
@@ -97,10 +124,11 @@ impl Surface {
             .collect::<Vec<f32>>()
             .iter()
             .sum();
-        let density = (LIGHT_TEXELS / area.max(f32::MIN_POSITIVE)).sqrt();
+        let density = (texels / area.max(f32::MIN_POSITIVE)).sqrt();
         let light_atlas = Atlas::lattice(mesh, &vec![density; mesh.triangles.len()]);
         let occluder = Occluder::new(mesh);
         Self {
+            openness: openness(mesh, &occluder),
             occluder,
             light_atlas,
             centre,
@@ -131,13 +159,13 @@ impl Surface {
             .as_ref()
     }
 
-    /// The object as the reference renderer has it, lit by what was baked or stored.
-    pub(super) fn scene<'a>(&'a self, surroundings: Option<Surroundings<'a>>) -> Scene<'a> {
+    /// The object as the reference renderer has it; what it mirrors of itself is not baked.
+    pub(super) fn scene(&self) -> Scene<'_> {
         Scene {
             mesh: &self.solution.mesh,
             occluder: &self.occluder,
             brdf: self.solution.brdf,
-            surroundings,
+            surroundings: None,
         }
     }
 
@@ -166,8 +194,10 @@ impl Surface {
             .positions
             .iter()
             .zip(&mesh.normals)
-            .map(|(&position, normal)| GpuVertex {
+            .zip(&self.openness)
+            .map(|((&position, normal), &openness)| GpuVertex {
                 position: (position - self.centre).to_array(),
+                openness: f32::from(openness) / 255.0,
                 normal: normal.to_array(),
                 ..GpuVertex::default()
             })
@@ -191,13 +221,25 @@ impl Surface {
             }
             gpu.guarded("the surface", || {
                 let buffer = gpu.buffer(what, needed, wgpu::BufferUsages::STORAGE);
-                gpu.queue().write_buffer(&buffer, 0, bytes);
+                if !bytes.is_empty() {
+                    gpu.queue().write_buffer(&buffer, 0, bytes);
+                }
                 buffer
             })
         };
         let vertices = storage("vertices", bytemuck::cast_slice(&vertices))?;
         let corners = 3 * triangles.len() as u32;
         let triangles = storage("triangles", bytemuck::cast_slice(&triangles))?;
+        let (nodes, list) = self.mirror_walk();
+        let fits = size_of_val(nodes.as_slice()) as u64
+            <= gpu.device().limits().max_storage_buffer_binding_size;
+        let (nodes, list) = if fits {
+            (nodes, list)
+        } else {
+            (Vec::new(), Vec::new())
+        };
+        let walk = storage("hierarchy", bytemuck::cast_slice(&nodes))?;
+        let walk_triangles = storage("hierarchy's triangles", bytemuck::cast_slice(&list))?;
         gpu.guarded("the surface's textures", || {
             let confidence = |i: usize| self.solution.confidence.get(i).copied().unwrap_or(0.0);
             SurfaceBuffers {
@@ -210,6 +252,9 @@ impl Surface {
                     ],
                 }),
                 corners,
+                walk,
+                walk_triangles,
+                walk_nodes: nodes.len() as u32,
                 diffuse: upload_texture(
                     gpu,
                     "diffuse",
@@ -228,6 +273,33 @@ impl Surface {
                 ),
             }
         })
+    }
+
+    /// The hierarchy of the triangles, if the surface is known to mirror itself and how strongly.
+    fn mirror_walk(&self) -> (Vec<GpuWalkNode>, Vec<u32>) {
+        if self
+            .solution
+            .brdf
+            .and_then(|b| b.specular_scale())
+            .is_none()
+        {
+            return (Vec::new(), Vec::new());
+        }
+        let (nodes, list) = self.occluder.walk();
+        let nodes = nodes
+            .iter()
+            .map(|node| GpuWalkNode {
+                low: (node.low - self.centre).to_array(),
+                next: if node.count > 0 {
+                    node.first
+                } else {
+                    node.skip
+                },
+                high: (node.high - self.centre).to_array(),
+                count: node.count,
+            })
+            .collect();
+        (nodes, list)
     }
 
     /// All triangles as the device has them.
@@ -296,4 +368,30 @@ fn positive(value: f32) -> f32 {
     } else {
         1.0
     }
+}
+
+/// Part of the sky that each vertex sees, 0 to 255.
+fn openness(mesh: &Mesh, occluder: &Occluder) -> Vec<u8> {
+    /// Rays of all vertices together, about: a quarter of a second's work on one core.
+    const RAYS: usize = 400_000;
+    let rays = (RAYS / mesh.positions.len().max(1)).clamp(4, 48);
+    (0..mesh.positions.len())
+        .into_par_iter()
+        .map(|v| {
+            let normal = mesh.normals[v];
+            let origin = occluder.offset_origin(mesh.positions[v], normal);
+            let (tangent, bitangent) = normal.any_orthonormal_pair();
+            let clear = (0..rays)
+                .filter(|&i| {
+                    // Distributed by the cosine (Malley's method) along a golden spiral.
+                    let radius = ((i as f32 + 0.5) / rays as f32).sqrt();
+                    let (sin, cos) = (i as f32 * GOLDEN_ANGLE).sin_cos();
+                    let height = (1.0 - radius * radius).sqrt();
+                    let direction = radius * (cos * tangent + sin * bitangent) + height * normal;
+                    !occluder.occluded(origin, direction, f32::INFINITY)
+                })
+                .count();
+            (clear * 255 / rays) as u8
+        })
+        .collect()
 }

@@ -33,6 +33,30 @@ pub struct Hit {
     pub distance: f32,
 }
 
+/// A node of the hierarchy in the order in which a walk without a stack visits them: from one to the next where the ray
+/// meets its box, past all nodes below it where not.
+#[derive(Clone, Copy, Debug)]
+pub struct WalkNode {
+    /// Lowest corner of the box, mesh units.
+    pub low: Vec3,
+    /// Highest corner.
+    pub high: Vec3,
+    /// The node to go on with where the box is missed, or where this is a leaf.
+    pub skip: u32,
+    /// Triangles of a leaf, as a range of the walk's list of triangles; empty for others.
+    pub first: u32,
+    /// Their number.
+    pub count: u32,
+}
+
+/// What a walk still has to do.
+enum Step {
+    /// Visit a node of the hierarchy.
+    Visit(usize),
+    /// Go on after a node of the walk: all that is below it has been visited.
+    Close(usize),
+}
+
 /// One triangle as the traversal reads it: a corner and the two edges from it.
 #[derive(Clone, Copy, Debug)]
 struct Leaf {
@@ -143,6 +167,41 @@ impl Occluder {
         })
     }
 
+    /// The hierarchy for a walk without a stack, with its list of triangles.
+    pub fn walk(&self) -> (Vec<WalkNode>, Vec<u32>) {
+        let mut walk: Vec<WalkNode> = Vec::with_capacity(self.bvh.nodes.len());
+        // The next step last.
+        let mut steps = Vec::new();
+        if !self.bvh.nodes.is_empty() {
+            steps.push(Step::Visit(0));
+        }
+        while let Some(step) = steps.pop() {
+            let visit = match step {
+                Step::Close(at) => {
+                    walk[at].skip = walk.len() as u32;
+                    continue;
+                }
+                Step::Visit(visit) => &self.bvh.nodes[visit],
+            };
+            let outside = |p: Vec3A| Vec3::from(p) * self.scale + self.centre;
+            let (at, first) = (walk.len(), visit.first_index);
+            let leaf = visit.is_leaf();
+            walk.push(WalkNode {
+                low: outside(visit.aabb().min),
+                high: outside(visit.aabb().max),
+                skip: at as u32 + 1,
+                first: if leaf { first } else { 0 },
+                count: if leaf { visit.prim_count } else { 0 },
+            });
+            if !leaf {
+                steps.push(Step::Close(at));
+                steps.push(Step::Visit(first as usize + 1));
+                steps.push(Step::Visit(first as usize));
+            }
+        }
+        (walk, self.leaves.iter().map(|leaf| leaf.triangle).collect())
+    }
+
     /// The first point of the surface, front or back, along the unit `direction`.
     pub fn hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
         let from = (origin - self.centre) / self.scale;
@@ -210,6 +269,29 @@ mod tests {
             let target = 0.9 * Vec3::new((k * 2.1).cos(), (k * 0.9).sin(), (k * 1.7).cos());
             (origin, (target - origin).normalize_or_zero())
         })
+    }
+
+    #[test]
+    fn a_walk_visits_every_triangle_once_inside_its_box() {
+        let mesh = bumpy_sphere(12, 0.2);
+        let (nodes, list) = Occluder::new(&mesh).walk();
+        let mut seen = vec![0; mesh.triangles.len()];
+        for (at, node) in nodes.iter().enumerate() {
+            assert!(node.skip as usize > at && node.skip as usize <= nodes.len());
+            for &triangle in &list[node.first as usize..(node.first + node.count) as usize] {
+                seen[triangle as usize] += 1;
+                for corner in mesh.corners(triangle) {
+                    let inside = corner.cmpge(node.low) & corner.cmple(node.high);
+                    assert!(inside.all(), "{corner} outside its leaf's box");
+                }
+            }
+            if node.count > 0 {
+                assert_eq!(node.skip as usize, at + 1, "a leaf has nothing below it");
+            }
+        }
+        assert!(seen.iter().all(|&count| count == 1));
+        // A walk that misses every box ends at once.
+        assert_eq!(nodes[0].skip as usize, nodes.len());
     }
 
     #[test]

@@ -7,7 +7,7 @@ mod texture;
 mod visible;
 
 pub use atlas::{Atlas, LARGEST_SIDE, Texel};
-pub use bvh::{Hit, Occluder};
+pub use bvh::{Hit, Occluder, WalkNode};
 pub use texture::{
     FULL_COVERAGE, GRAZING, MinimumTexture, Observation, is_object, minimum_texture, observations,
     observe, wanted_density,
