@@ -50,21 +50,20 @@ fn run(arguments: &[String]) -> anyhow::Result<()> {
     let demo = tempfile::tempdir()?;
     unpack_demo(demo.path())?;
     let (_, camera) = read_cameras(&demo.path().join("transforms.json"))?.swap_remove(0);
-    let solution = match folder {
-        Some(folder) => Solution::load(Path::new(folder))?,
-        None => {
-            let capture = Capture::load(demo.path())?;
-            let options = SolveOptions {
-                estimate: EstimateParams {
-                    method: Method::Fast,
-                    specular: SpecularChoice::Auto,
-                },
-                frequency: 70,
-                radius: None,
-            };
-            solve(&capture, &options, 0.0, &mut Unobserved)
-                .map_err(|_| anyhow!("the solve was stopped"))?
-        }
+    let solution = if let Some(folder) = folder {
+        Solution::load(Path::new(folder))?
+    } else {
+        let capture = Capture::load(demo.path())?;
+        let options = SolveOptions {
+            estimate: EstimateParams {
+                method: Method::Fast,
+                specular: SpecularChoice::Auto,
+            },
+            frequency: 70,
+            radius: None,
+        };
+        solve(&capture, &options, 0.0, &mut Unobserved)
+            .map_err(|_| anyhow!("the solve was stopped"))?
     };
     let surface = Arc::new(Surface::new(Arc::new(solution)));
     let gpu = Gpu::headless()?;

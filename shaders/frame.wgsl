@@ -52,16 +52,18 @@ struct Frame {
     shown_albedo: f32,
 }
 
-fn frame_brdf(frame: Frame) -> Brdf {
+@group(0) @binding(0) var<uniform> frame: Frame;
+
+fn brdf_of_frame() -> Brdf {
     return Brdf(frame.model, frame.sigma);
 }
 
-fn eye_of(frame: Frame) -> vec3f {
+fn eye() -> vec3f {
     return vec3f(frame.camera_x.w, frame.camera_y.w, frame.camera_z.w);
 }
 
 /// The OPENCV model, extended: distorted normalised coordinates.
-fn distort(frame: Frame, u: vec2f) -> vec2f {
+fn distort(u: vec2f) -> vec2f {
     let r2 = dot(u, u);
     let k = frame.radial;
     let d = frame.denominator;
@@ -72,13 +74,13 @@ fn distort(frame: Frame, u: vec2f) -> vec2f {
 }
 
 /// Clip position of a world position; depth runs from 1 at the near plane to 0 far away.
-fn project(frame: Frame, position: vec3f) -> vec4f {
-    let offset = position - eye_of(frame);
+fn project(position: vec3f) -> vec4f {
+    let offset = position - eye();
     let c = vec3f(dot(frame.camera_x.xyz, offset), dot(frame.camera_y.xyz, offset), dot(frame.camera_z.xyz, offset));
     let depth = -c.z;
     var xy = vec2f(c.x, -c.y);
     if (frame.distorted == 1u && depth > frame.near) {
-        xy = distort(frame, xy / depth) * depth;
+        xy = distort(xy / depth) * depth;
     }
     return vec4f(xy.x * frame.focal.x + frame.centre.x * depth, -(xy.y * frame.focal.y + frame.centre.y * depth),
         frame.near, depth);

@@ -41,7 +41,6 @@ struct ShadowMaps {
     maps: array<ShadowMap, 4>,
 }
 
-@group(0) @binding(0) var<uniform> frame: Frame;
 @group(2) @binding(0) var linear_sampler: sampler;
 @group(2) @binding(1) var diffuse_texture: texture_2d<f32>;
 @group(2) @binding(2) var albedo_texture: texture_2d<f32>;
@@ -166,7 +165,7 @@ var<private> soft: array<vec4f, 6>;
 var<private> mapped: vec4f;
 
 fn add_lobes(surface: Surface, terms: ViewTerms, range: vec2u, weight: f32) -> Shade {
-    let brdf = frame_brdf(frame);
+    let brdf = brdf_of_frame();
     var sum = Shade(vec3f(0.0), vec3f(0.0));
     for (var i = range.x; i < range.y; i++) {
         let light = lobes[i];
@@ -300,8 +299,8 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
     if (frame.mode == SHADOW) {
         return vec3f(shown_visibility());
     }
-    let brdf = frame_brdf(frame);
-    let view = normalize(eye_of(frame) - surface.position);
+    let brdf = brdf_of_frame();
+    let view = normalize(eye() - surface.position);
     let terms = view_terms(brdf, surface.normal, view);
     soft = soft_at(triangle, weights);
     var sum = add_lobes(surface, terms, frame.always, 1.0);

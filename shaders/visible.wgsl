@@ -3,8 +3,6 @@
 #import frame.wgsl
 #import surface.wgsl
 
-@group(0) @binding(0) var<uniform> frame: Frame;
-
 struct Visible {
     @builtin(position) clip: vec4f,
     @location(0) @interpolate(flat) triangle: u32,
@@ -16,7 +14,7 @@ struct Visible {
 fn visible_vertex(@builtin(vertex_index) index: u32) -> Visible {
     let corner = index % 3u;
     let weights = vec2f(f32(corner == 1u), f32(corner == 2u));
-    return Visible(project(frame, corner_position(index)), index / 3u, weights);
+    return Visible(project(corner_position(index)), index / 3u, weights);
 }
 
 /// Number of the triangle plus one, and the weights in 16 bits each.
@@ -27,7 +25,7 @@ fn visible_fragment(in: Visible) -> @location(0) vec2u {
 
 @vertex
 fn coverage_vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
-    return project(frame, corner_position(index));
+    return project(corner_position(index));
 }
 
 @fragment

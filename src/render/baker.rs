@@ -4,7 +4,6 @@
 //! the part in work is done.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::thread::JoinHandle;
 
 use glam::Vec3;
 use half::f16;
@@ -83,7 +82,6 @@ impl Shared {
 /// The background thread.
 pub(super) struct Baker {
     shared: Arc<Shared>,
-    thread: Option<JoinHandle<()>>,
 }
 
 impl Baker {
@@ -91,17 +89,15 @@ impl Baker {
     pub(super) fn new() -> Result<Self, RenderError> {
         let shared = Arc::new(Shared::default());
         let theirs = Arc::clone(&shared);
-        let thread = std::thread::Builder::new()
+        std::thread::Builder::new()
             .name("light-baker".to_owned())
             .spawn(move || work(&theirs))
+            .map(drop)
             .map_err(|e| RenderError::Refused {
                 what: "a thread for baking light".to_owned(),
                 reason: e.to_string(),
             })?;
-        Ok(Self {
-            shared,
-            thread: Some(thread),
-        })
+        Ok(Self { shared })
     }
 
     /// What to call when something is done.
@@ -149,10 +145,7 @@ impl Drop for Baker {
     fn drop(&mut self) {
         self.shared.state().quit = true;
         self.shared.changed.notify_all();
-        if let Some(thread) = self.thread.take() {
-            // A panic in there has been reported already.
-            let _ = thread.join();
-        }
+        // The thread ends by itself after the part in work: nobody should wait for that.
     }
 }
 

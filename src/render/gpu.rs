@@ -176,8 +176,8 @@ impl Gpu {
     pub(super) fn buffer(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
         self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
-            // Copies need multiples of four, and an empty buffer can't be bound.
-            size: size.next_multiple_of(16).max(16),
+            // Copies need multiples of four, and an empty list still has to have room for one entry.
+            size: size.next_multiple_of(16).max(96),
             usage: usage | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         })
