@@ -73,10 +73,18 @@ fn view_terms(brdf: Brdf, normal: vec3f, view: vec3f) -> ViewTerms {
     return ViewTerms(normal, view, cos_view, mask / cos_view);
 }
 
+/// Part of light spread about a direction at the cosine `cos_light` that comes from above the horizon: that of a disc,
+/// taken to rise evenly.
+fn above_horizon(cos_light: f32, spread: f32) -> f32 {
+    let radius = 2.0 * sqrt(spread);
+    return clamp(0.5 + 0.5 * cos_light / max(radius, 1e-6), 0.0, 1.0);
+}
+
 /// The lobe for light from `light` (unit) that is spread about it.
 fn lobe(brdf: Brdf, terms: ViewTerms, light: vec3f, spread: f32) -> f32 {
     let cos_light = dot(terms.normal, light);
-    if (cos_light <= 0.0) {
+    let above = above_horizon(cos_light, spread);
+    if (above <= 0.0) {
         return 0.0;
     }
     let sum = light + terms.view;
@@ -107,7 +115,7 @@ fn lobe(brdf: Brdf, terms: ViewTerms, light: vec3f, spread: f32) -> f32 {
     if (exponent > CUT_EXPONENT) {
         return 0.0;
     }
-    let gauss = terms.scale * exp(-exponent) * variance * inverseSqrt(width_along * width_across);
+    let gauss = above * terms.scale * exp(-exponent) * variance * inverseSqrt(width_along * width_across);
     if (brdf.model == PAPER) {
         return gauss;
     }

@@ -181,13 +181,14 @@ fn add_lobes(surface: Surface, terms: ViewTerms, range: vec2u, weight: f32) -> S
             falloff = squared_radius / squared;
         }
         let cos_light = dot(l, surface.normal);
-        if (cos_light <= 0.0 || dot(l, surface.face_normal) <= 0.0) {
+        let spread = light.spread * falloff;
+        if (above_horizon(min(cos_light, dot(l, surface.face_normal)), spread) <= 0.0) {
             continue;
         }
         let live = (light.bits & 0x10000u) != 0u;
         var value = 0.0;
         if (brdf.model != NO_LOBE) {
-            value = lobe(brdf, terms, l, light.spread * falloff);
+            value = lobe(brdf, terms, l, spread);
         }
         if (value == 0.0 && !live) {
             continue;
@@ -203,7 +204,7 @@ fn add_lobes(surface: Surface, terms: ViewTerms, range: vec2u, weight: f32) -> S
         let arriving = light.flux * (falloff * weight * seen);
         sum.specular += arriving * value;
         if (live) {
-            sum.irradiance += arriving * (cos_light * diffuse_transmittance(brdf, cos_light) * frame.irradiance_scale);
+            sum.irradiance += arriving * (max(cos_light, 0.0) * diffuse_transmittance(brdf, cos_light) * frame.irradiance_scale);
         }
     }
     return sum;

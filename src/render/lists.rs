@@ -27,9 +27,9 @@ const OPENNESS: usize = SLOTS - 1;
 /// Lamps whose visibility has a place in the texture.
 pub(super) const MAX_LAMPS: usize = 32;
 /// Largest variance of a lamp's lobe, in parts of that of the surface's lobe.
-const LAMP_SPREAD: f32 = 0.15;
+const LAMP_SPREAD: f32 = 0.06;
 /// The same of other light.
-const SOFT_SPREAD: f32 = 0.4;
+const SOFT_SPREAD: f32 = 0.2;
 /// Frames of a still picture: sixteen places in each pixel.
 pub(super) const PLACES: u32 = 16;
 
