@@ -206,7 +206,8 @@ fn moved(lighting: &Lighting) -> Lighting {
     moved
 }
 
-/// Light from all sides in patches, brighter above, with one bright patch.
+/// Light from the viewer's side in patches, brighter above. Light from behind would be seen at grazing
+/// angles, where a lobe is narrower than the reference's nodes lie apart: there the reference shows single nodes.
 fn sky(lighting: &Lighting, nodes: usize, patches: usize) -> Lighting {
     let each = nodes / patches;
     let mut environment = Vec::new();
@@ -218,6 +219,9 @@ fn sky(lighting: &Lighting, nodes: usize, patches: usize) -> Lighting {
             Vec3::new(across * cos, height, across * sin)
         };
         let middle = spiral(patches, p as f32 + 0.5);
+        if middle.dot(Vec3::new(0.34, 0.28, 0.9)) < 0.2 {
+            continue;
+        }
         let (tangent, bitangent) = middle.any_orthonormal_pair();
         let size = 1.7 / (patches as f32).sqrt();
         environment.extend(LampNodes::new(
@@ -229,9 +233,7 @@ fn sky(lighting: &Lighting, nodes: usize, patches: usize) -> Lighting {
                         (middle + radius * (cos * tangent + sin * bitangent)).normalize_or(middle);
                     LightNode {
                         direction,
-                        radiance: Vec3::new(0.6, 0.8, 1.0)
-                            * (1.2 + direction.y)
-                            * if p == 5 { 2.0 } else { 1.0 },
+                        radiance: Vec3::new(0.6, 0.8, 1.0) * (1.2 + direction.y),
                         solid_angle: 4.0 * std::f32::consts::PI / nodes as f32,
                     }
                 })
