@@ -21,7 +21,7 @@ use crate::studio::ViewTransform;
 /// Pictures are at most this many pixels wide and high.
 pub const MAX_SIDE: u32 = 8192;
 /// Animations, of which a whole frame is held, at most this many.
-const MAX_ANIMATION_SIDE: u32 = 4096;
+pub const MAX_ANIMATION_SIDE: u32 = 4096;
 
 /// One picture.
 #[derive(Clone, Debug)]

@@ -11,7 +11,7 @@ mod renderer;
 #[cfg(test)]
 mod tests;
 
-pub use job::{ExportError, Job, MAX_SIDE, Shot, export};
+pub use job::{ExportError, Job, MAX_ANIMATION_SIDE, MAX_SIDE, Shot, export};
 pub use motion::{lamp_circle, turntable, with_size};
 pub use png_file::{Depth, PngFile, Shown};
 pub use renderer::{LitScene, Renderer};

@@ -9,7 +9,8 @@ use super::handles::Seen;
 use crate::app::theme;
 use crate::capture::Camera;
 use crate::export::{
-    Depth, ExportError, Job, MAX_SIDE, Renderer, Shot, export, lamp_circle, turntable, with_size,
+    Depth, ExportError, Job, MAX_ANIMATION_SIDE, MAX_SIDE, Renderer, Shot, export, lamp_circle,
+    turntable, with_size,
 };
 use crate::solution::Solution;
 use crate::studio::{Document, LampId, ViewTransform};
@@ -144,9 +145,14 @@ impl Question {
 
     /// Why there is nothing to export.
     fn problem(&self) -> Option<&'static str> {
-        let moving = self.is_moving();
-        let any = self.png || self.exr || moving && self.animation;
-        (!any).then_some("Choose at least one kind of file")
+        let animated = self.is_moving() && self.animation;
+        if !(self.png || self.exr || animated) {
+            Some("Choose at least one kind of file")
+        } else if animated && self.size.iter().any(|side| *side > MAX_ANIMATION_SIDE) {
+            Some("Animations are at most 4096 × 4096")
+        } else {
+            None
+        }
     }
 
     fn is_moving(&self) -> bool {

@@ -138,13 +138,14 @@ fn swatch(ui: &mut egui::Ui, base: &Baseline, lamp: &Lamp, dark: bool) {
     if dark {
         let inside = egui::StrokeKind::Inside;
         ui.painter()
-            .rect_stroke(rect, corner, Stroke::new(1.5, hue), inside);
+            .rect_stroke(rect, corner, Stroke::new(2.0, hue), inside);
     } else {
         ui.painter().rect_filled(rect, corner, hue);
-        let line = Stroke::new(1.0, theme::palette(ui).line);
-        let outside = egui::StrokeKind::Outside;
-        ui.painter().rect_stroke(rect, corner, line, outside);
     }
+    // White shows on a white panel, too.
+    let line = Stroke::new(1.0, theme::palette(ui).line);
+    let outside = egui::StrokeKind::Outside;
+    ui.painter().rect_stroke(rect, corner, line, outside);
 }
 
 fn toggle(ui: &mut egui::Ui, on: bool, letter: &str, name: &str, tip: &str) -> bool {

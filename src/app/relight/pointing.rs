@@ -91,18 +91,15 @@ impl Pointing {
         } else {
             format!(" makes {:.0} % of it", 100.0 * answer.share)
         };
-        let hint = if editing.is_selected(answer.lamp) {
-            ""
-        } else {
-            "\nClick to select it"
-        };
+        // With a lamp selected a click places that one.
+        let free = editing.selected(document.look()).is_none();
+        let hint = if free { "\nClick to select it" } else { "" };
         egui::Popup::from_response(response)
             .kind(egui::PopupKind::Tooltip)
             .at_pointer()
             .gap(14.0)
             .show(|ui| ui.label(format!("Highlight of {}{share}{hint}", lamp.name)));
-        // With another lamp selected a click places that one.
-        if response.clicked() && editing.selected(document.look()).is_none() {
+        if free && response.clicked() {
             editing.select(Some(answer.lamp));
         }
     }
