@@ -5,7 +5,7 @@ mod driver;
 
 use std::path::Path;
 
-use driver::{Window, click, drawn, has, still, wait_for, wait_for_part};
+use driver::{Window, click, drawn, has, still, wait_for, wait_for_iteration};
 use eframe::egui;
 use egui_kittest::kittest::Queryable as _;
 
@@ -43,11 +43,11 @@ fn every_state() {
         .click();
     wait_for(&mut window, "View 4 hemisphere");
     snap(&mut window, "estimating_partial");
-    wait_for_part(&mut window, "Iteration 3,");
+    wait_for_iteration(&mut window, 3);
     click(&mut window, "Pause");
     shoot(&mut window, "estimating_first");
     click(&mut window, "Resume");
-    wait_for_part(&mut window, "Iteration 14,");
+    wait_for_iteration(&mut window, 14);
     click(&mut window, "Pause");
     shoot(&mut window, "estimating_later");
     click(&mut window, "Resume");
@@ -101,7 +101,7 @@ fn small_and_light() {
     driver::coarse(&mut window);
     window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Enter);
     window.step();
-    wait_for_part(&mut window, "Iteration 6,");
+    wait_for_iteration(&mut window, 6);
     snap(&mut window, "light_estimating");
     wait_for(&mut window, "Light 1");
     shoot(&mut window, "light_relit");

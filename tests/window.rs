@@ -4,7 +4,7 @@ mod driver;
 
 use driver::{
     capture, changed, click, coarse, drawn, drop_on, has, has_part, object, wait_for,
-    wait_for_part, window,
+    wait_for_iteration, wait_for_part, window,
 };
 use eframe::egui;
 use egui_kittest::kittest::Queryable as _;
@@ -27,7 +27,7 @@ fn the_demo_is_opened_estimated_paused_and_relit() {
     window.step();
     wait_for(&mut window, "View 1 hemisphere");
     wait_for(&mut window, "Initial hemisphere");
-    wait_for_part(&mut window, "Iteration 2,");
+    wait_for_iteration(&mut window, 2);
     click(&mut window, "Pause");
     wait_for_part(&mut window, "Paused while");
     click(&mut window, "Resume");
@@ -43,7 +43,7 @@ fn the_demo_is_opened_estimated_paused_and_relit() {
     );
     // Again with other settings, without reading again, ended early.
     click(&mut window, "Estimate again");
-    wait_for_part(&mut window, "Iteration 1,");
+    wait_for_iteration(&mut window, 1);
     click(&mut window, "Stop and keep best");
     wait_for(&mut window, "Lamps");
     window.run_ok();
@@ -94,7 +94,7 @@ fn a_solve_is_stopped_in_every_stage_and_the_window_closed_in_one() {
     }
     window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Enter);
     window.step();
-    wait_for_part(&mut window, "Iteration 1,");
+    wait_for_iteration(&mut window, 1);
     // Closing stops the threads and waits for them.
     drop(window);
 }

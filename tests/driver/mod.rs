@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use eframe::egui;
 use egui_kittest::Harness;
-use egui_kittest::kittest::Queryable as _;
+use egui_kittest::kittest::{NodeT as _, Queryable as _};
 use rekindle::app::{App, Start};
 use rekindle::worker::Source;
 
@@ -111,6 +111,19 @@ pub fn wait_for(window: &mut Window, label: &str) {
 pub fn wait_for_part(window: &mut Window, part: &str) {
     wait(window, part, |w| {
         w.query_all_by_label_contains(part).next().is_some()
+    });
+}
+
+/// Waits until an iteration at least this far is shown.
+pub fn wait_for_iteration(window: &mut Window, at_least: u32) {
+    wait(window, "iteration", |w| {
+        let shown = w.query_all_by_label_contains("Iteration ");
+        let number = |node: egui_kittest::Node<'_>| {
+            let label = node.accesskit_node().label()?;
+            let (number, _) = label.strip_prefix("Iteration ")?.split_once(',')?;
+            number.parse::<u32>().ok()
+        };
+        shown.filter_map(number).any(|n| n >= at_least)
     });
 }
 
