@@ -64,6 +64,8 @@ pub struct Estimation {
     state: State,
     progress: Option<Arc<Progress>>,
     solution: Option<Arc<Solution>>,
+    /// Time since the start without pauses.
+    elapsed: Duration,
     viewport: Viewport,
     look: Look,
     /// An iteration to compare with.
@@ -86,6 +88,7 @@ impl Estimation {
             state: State::Running,
             progress: None,
             solution: None,
+            elapsed: Duration::ZERO,
             viewport,
             look: Look::Newest,
             other: None,
@@ -153,6 +156,9 @@ impl Estimation {
     /// Shows the page.
     pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
         if self.state == State::Running && !shared.worker.is_paused() {
+            if let Some(progress) = &self.progress {
+                self.elapsed = progress.started.elapsed().saturating_sub(progress.paused);
+            }
             // The clock goes on between the news.
             ui.ctx().request_repaint_after(Duration::from_millis(500));
         }
@@ -276,11 +282,7 @@ impl Estimation {
         if self.state == State::Stopped {
             return format!("after {} iterations", progress.steps.len());
         }
-        let elapsed = progress
-            .started
-            .elapsed()
-            .saturating_sub(progress.paused)
-            .as_secs_f32();
+        let elapsed = self.elapsed.as_secs_f32();
         if fraction < TELLING {
             return format!("{elapsed:.0} s");
         }
