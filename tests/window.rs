@@ -3,8 +3,8 @@
 mod driver;
 
 use driver::{
-    capture, changed, click, coarse, drawn, drop_on, has, has_part, object, wait_for,
-    wait_for_iteration, wait_for_part, window,
+    capture, click, coarse, drop_on, has, has_part, wait_for, wait_for_iteration, wait_for_part,
+    window,
 };
 use eframe::egui;
 use egui_kittest::kittest::Queryable as _;
@@ -97,69 +97,4 @@ fn a_solve_is_stopped_in_every_stage_and_the_window_closed_in_one() {
     wait_for_iteration(&mut window, 1);
     // Closing stops the threads and waits for them.
     drop(window);
-}
-
-#[test]
-fn what_is_done_to_lamps_is_undone_saved_and_seen_again() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let mut window = drawn([1100.0, 700.0], None);
-    click(&mut window, "Try the demo");
-    wait_for(&mut window, "Findings");
-    coarse(&mut window);
-    window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Enter);
-    window.step();
-    wait_for(&mut window, "Mute Light 1");
-    let original = object(&mut window);
-    click(&mut window, "Mute Light 1");
-    let muted = object(&mut window);
-    assert!(changed(&original, &muted, 8) > 0.02, "the lamp is off");
-    window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Z);
-    let undone = object(&mut window);
-    assert!(
-        changed(&original, &undone, 1) < 1e-3,
-        "the lamp is on again"
-    );
-    // The highlight of the first lamp follows the pointer over the object.
-    window.key_press(egui::Key::N);
-    window.step();
-    let middle = window.get_by_label("Viewport").rect().center();
-    window.drag_at(middle);
-    window.step();
-    window.hover_at(middle + egui::vec2(-30.0, 20.0));
-    window.step();
-    window.hover_at(middle + egui::vec2(-60.0, 30.0));
-    window.step();
-    window.drop_at(middle + egui::vec2(-60.0, 30.0));
-    window.step();
-    let dragged = object(&mut window);
-    assert!(changed(&original, &dragged, 8) > 0.02, "the lamp has moved");
-    window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Z);
-    let undone = object(&mut window);
-    assert!(
-        changed(&original, &undone, 1) < 1e-3,
-        "the drag is one step of the history"
-    );
-    let redo = egui::Modifiers::COMMAND | egui::Modifiers::SHIFT;
-    window.key_press_modifiers(redo, egui::Key::Z);
-    let again = object(&mut window);
-    assert!(changed(&dragged, &again, 1) < 1e-3, "and is done again");
-    // Without a file dialog the path is typed.
-    window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::S);
-    wait_for(&mut window, "Path");
-    let project = folder.path().join("cow.rekindle");
-    let path = project.to_str().expect("a plain path");
-    window.get_by_label("Path").type_text(path);
-    window.step();
-    click(&mut window, "Use this path");
-    wait_for(&mut window, "Saved");
-    let last = object(&mut window);
-    drop(window);
-    let mut window = drawn([1100.0, 700.0], Some(Source::Path(project)));
-    wait_for(&mut window, "Mute Light 1");
-    let reopened = object(&mut window);
-    assert!(
-        changed(&last, &reopened, 1) < 1e-3,
-        "{} of the pixels are others after reopening",
-        changed(&last, &reopened, 1)
-    );
 }

@@ -48,6 +48,10 @@ pub fn drawn(size: [f32; 2], open: Option<Source>) -> Window {
 
 /// The window's picture once it stands still: nothing is baked or refined any more.
 pub fn still(window: &mut Window) -> image::RgbaImage {
+    for _ in 0..3 {
+        window.step();
+    }
+    wait(window, "final picture", |w| !has(w, "Refining…"));
     /// As long as nothing changes.
     const STILL: Duration = Duration::from_millis(1500);
     let begun = Instant::now();
@@ -64,28 +68,6 @@ pub fn still(window: &mut Window) -> image::RgbaImage {
         }
     }
     before
-}
-
-/// Colours in the viewport, without its rim: row by row.
-pub fn object(window: &mut Window) -> Vec<[u8; 3]> {
-    window.remove_cursor();
-    window.step();
-    let picture = still(window);
-    let rect = window.get_by_label("Viewport").rect().shrink(70.0);
-    let (left, top) = (rect.left() as u32, rect.top() as u32);
-    let (width, height) = (rect.width() as u32, rect.height() as u32);
-    let part = image::imageops::crop_imm(&picture, left, top, width, height);
-    part.to_image()
-        .pixels()
-        .map(|p| [p.0[0], p.0[1], p.0[2]])
-        .collect()
-}
-
-/// Part of the pixels that differ by more than `levels` in a channel.
-pub fn changed(a: &[[u8; 3]], b: &[[u8; 3]], levels: u8) -> f64 {
-    assert_eq!(a.len(), b.len(), "pictures of one size");
-    let differs = |(a, b): &(&[u8; 3], &[u8; 3])| (0..3).any(|c| a[c].abs_diff(b[c]) > levels);
-    a.iter().zip(b).filter(differs).count() as f64 / a.len() as f64
 }
 
 pub fn capture(name: &str) -> PathBuf {

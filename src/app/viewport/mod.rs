@@ -774,6 +774,10 @@ impl Viewport {
         ui.horizontal_centered(|ui| {
             self.camera_ui(ui);
             self.mode_ui(ui);
+            if self.gpu.as_ref().is_some_and(|gpu| !gpu.is_settled()) {
+                ui.weak("Refining…")
+                    .on_hover_text("Light is being baked, or the still picture made better");
+            }
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 self.exposure_ui(ui);
             });
