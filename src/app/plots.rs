@@ -109,11 +109,11 @@ fn time_plot(
                     .radius(1.8)
                     .color(palette.accent),
             );
-            plot.line(
-                Line::new(name, PlotPoints::from(points))
-                    .color(palette.accent)
-                    .width(1.5),
-            );
+            // Each stretch on its own: a joint of two steep ones would be drawn as a wedge.
+            for pair in points.windows(2) {
+                let stretch = Line::new(name, PlotPoints::from(pair.to_vec()));
+                plot.line(stretch.color(palette.accent).width(1.5).allow_hover(false));
+            }
             for (mark, colour) in [
                 (marks.shown, palette.curves[1]),
                 (marks.other, palette.curves[2]),

@@ -16,6 +16,9 @@ use rekindle::worker::Source;
 /// Longer than anything here takes on a slow machine.
 const PATIENCE: Duration = Duration::from_mins(4);
 
+/// A picture that has not changed for so long stands still.
+const STILL: Duration = Duration::from_millis(1500);
+
 /// The window under test.
 pub type Window = Harness<'static, App>;
 
@@ -52,8 +55,6 @@ pub fn still(window: &mut Window) -> image::RgbaImage {
         window.step();
     }
     wait(window, "final picture", |w| !has(w, "Refining…"));
-    /// As long as nothing changes.
-    const STILL: Duration = Duration::from_millis(1500);
     let begun = Instant::now();
     let mut since = Instant::now();
     let mut before = window.render().expect("a picture");
