@@ -170,10 +170,10 @@ fn a_lamp_is_dragged_and_its_highlight_moves() {
     let drag = |at: [u32; 2], down: &str| {
         let [x, y] = at.map(|v| v.to_string());
         desk.xdotool(&["mousemove", &x, &y]);
-        std::thread::sleep(Duration::from_millis(200));
+        std::thread::sleep(Duration::from_millis(400));
         if !down.is_empty() {
             desk.xdotool(&[down, "1"]);
-            std::thread::sleep(Duration::from_millis(200));
+            std::thread::sleep(Duration::from_millis(400));
         }
     };
     drag(from, "mousedown");

@@ -40,8 +40,16 @@ impl Pointing {
         editing: &mut Editing,
         over: bool,
     ) {
-        let (pressed, down) = ui.input(|i| (i.pointer.primary_pressed(), i.pointer.primary_down()));
-        if !down {
+        let (pressed, down, released) = ui.input(|i| {
+            let pointer = &i.pointer;
+            (
+                pointer.primary_pressed(),
+                pointer.primary_down(),
+                pointer.primary_released(),
+            )
+        });
+        // Where the button is let go counts too: on a slow machine the last move comes with it.
+        if !down && !released {
             self.placing = false;
         }
         let Some(pointer) = ui
@@ -50,7 +58,8 @@ impl Pointing {
         else {
             return;
         };
-        let held = response.is_pointer_button_down_on() && !over;
+        let let_go = released && response.contains_pointer();
+        let held = (response.is_pointer_button_down_on() || let_go) && !over;
         let selected = editing.selected(document.look()).map(|l| l.id);
         if pressed && held && selected.is_some() && ui.input(|i| i.modifiers.is_none()) {
             self.placing = viewport.surface_at(pointer).is_some();
