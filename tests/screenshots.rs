@@ -5,13 +5,13 @@ mod driver;
 
 use std::path::Path;
 
-use driver::{Window, click, drawn, has, still, wait_for, wait_for_iteration};
+use driver::{Window, click, drawn, finished, has, still, wait_for, wait_for_iteration};
 use eframe::egui;
 use egui_kittest::kittest::Queryable as _;
 
-/// Writes the window's picture once it stands still.
+/// Writes the window's picture once it is final.
 fn shoot(window: &mut Window, name: &str) {
-    let picture = still(window);
+    let picture = finished(window);
     write(&picture, name);
 }
 
@@ -65,7 +65,8 @@ fn every_state() {
         window.hover_at(middle + part * egui::vec2(-90.0, 10.0));
         window.step();
     }
-    shoot(&mut window, "lamp_dragged");
+    let dragged = still(&mut window);
+    write(&dragged, "lamp_dragged");
     window.drop_at(middle + egui::vec2(-90.0, 10.0));
     window.step();
     window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::E);

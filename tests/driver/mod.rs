@@ -50,11 +50,16 @@ pub fn drawn(size: [f32; 2], open: Option<Source>) -> Window {
 }
 
 /// The window's picture once it stands still: nothing is baked or refined any more.
-pub fn still(window: &mut Window) -> image::RgbaImage {
+pub fn finished(window: &mut Window) -> image::RgbaImage {
     for _ in 0..3 {
         window.step();
     }
     wait(window, "final picture", |w| !has(w, "Refining…"));
+    still(window)
+}
+
+/// The window's picture once it stands still, baked or not: what is dragged is not.
+pub fn still(window: &mut Window) -> image::RgbaImage {
     let begun = Instant::now();
     let mut since = Instant::now();
     let mut before = window.render().expect("a picture");
