@@ -179,7 +179,7 @@ impl<'a> Renderer<'a> {
         };
         let size = [width, picture.height];
         let mut png = PngFile::create(&add(".png"), size, Depth::Eight, shown)?;
-        png.rows(&sum, &picture.coverage)?;
+        png.rows(&sum, &picture.coverage, &interrupt::asked)?;
         png.finish()?;
         if layers {
             write_rgba(

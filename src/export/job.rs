@@ -248,7 +248,7 @@ impl Writer<'_> {
                 let rgb = sum(band);
                 let mut write = || -> io::Result<()> {
                     if let Some(png) = &mut png {
-                        png.rows(&rgb, &band.coverage)?;
+                        png.rows(&rgb, &band.coverage, stop)?;
                     }
                     if let Some(frame) = &mut frame {
                         frame.extend(shown.encode(&rgb, &band.coverage, Depth::Eight));

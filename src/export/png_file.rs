@@ -6,6 +6,11 @@ use std::path::Path;
 
 use glam::Vec3;
 
+use crate::relight::Stop;
+
+/// Rows that are encoded and compressed at once.
+const ROWS: usize = 8;
+
 /// Bits of each channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Depth {
@@ -84,6 +89,7 @@ fn encoder(
 /// A PNG being written from the top.
 pub struct PngFile<'a> {
     writer: png::StreamWriter<'static, BufWriter<File>>,
+    width: usize,
     depth: Depth,
     shown: Shown<'a>,
 }
@@ -95,15 +101,23 @@ impl<'a> PngFile<'a> {
         let writer = encoder.write_header().map_err(to_io)?;
         Ok(Self {
             writer: writer.into_stream_writer().map_err(to_io)?,
+            width: size[0] as usize,
             depth,
             shown,
         })
     }
 
-    /// Writes whole rows of premultiplied radiance with their coverage.
-    pub fn rows(&mut self, rgb: &[[f32; 3]], coverage: &[f32]) -> io::Result<()> {
-        let bytes = self.shown.encode(rgb, coverage, self.depth);
-        self.writer.write_all(&bytes)
+    /// Writes whole rows of premultiplied radiance with their coverage. Fails soon after `stop` says so.
+    pub fn rows(&mut self, rgb: &[[f32; 3]], coverage: &[f32], stop: Stop) -> io::Result<()> {
+        let some = (ROWS * self.width).max(1);
+        for (rgb, coverage) in rgb.chunks(some).zip(coverage.chunks(some)) {
+            if stop() {
+                return Err(io::Error::other("stopped"));
+            }
+            let bytes = self.shown.encode(rgb, coverage, self.depth);
+            self.writer.write_all(&bytes)?;
+        }
+        Ok(())
     }
 
     /// Ends the file, which must have all its rows.
