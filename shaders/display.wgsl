@@ -45,6 +45,9 @@ fn display_fragment(@builtin(position) at: vec4f) -> @location(0) vec4f {
         colour += radiance_from(direction) * (1.0 - alpha);
         return vec4f(view_transform(display.transform, colour * display.exposure), 1.0);
     }
+    if (alpha == 0.0) {
+        return vec4f(display.background.rgb, 1.0);
+    }
     colour /= max(alpha, 1e-4);
     switch display.kind {
         case 0u: { colour = view_transform(display.transform, colour * display.exposure); }

@@ -12,11 +12,15 @@ use rayon::prelude::*;
 use super::error::RenderError;
 use super::lobes::{Source, merge};
 use super::surface::{Surface, to_half};
-use crate::relight::{LightNode, Lighting, Shader, ShadingPoint, Visibility, texel_irradiance};
+use crate::relight::{
+    LampNodes, LightNode, Lighting, Shader, ShadingPoint, Visibility, texel_irradiance,
+};
 
 /// Nodes of an environment's patch are merged up to this variance of their directions, radians², where irradiance alone
 /// matters.
 const PATCH_SPREAD: f32 = 4e-3;
+/// Patches with a larger part of the light keep all their nodes.
+const BRIGHT: f32 = 0.02;
 /// Rays that the reference renderer casts to a patch.
 const PATCH_RAYS: usize = 4;
 
@@ -259,7 +263,13 @@ fn bake_soft(surface: &Surface, order: &Order, draft: bool) -> Baked {
 /// direction stays, on which irradiance depends as long as all of it is above the horizon.
 fn for_irradiance(shape: &Lighting) -> Lighting {
     let mut merged = shape.clone();
+    let strength = |patch: &LampNodes| patch.flux().element_sum();
+    let total: f32 = shape.environment.iter().map(strength).sum();
     for patch in &mut merged.environment {
+        // The shadow of a bright patch has an edge, in which every node shows.
+        if strength(patch) > BRIGHT * total {
+            continue;
+        }
         let sources = patch
             .nodes
             .iter()
