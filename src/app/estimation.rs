@@ -570,7 +570,10 @@ impl Estimation {
 /// A disc's name in the middle below it.
 fn caption(ui: &mut egui::Ui, side: f32, name: String) {
     let size = egui::vec2(side, 16.0);
-    ui.add_sized(size, egui::Label::new(RichText::new(name).small()));
+    ui.add_sized(
+        size,
+        egui::Label::new(RichText::new(name).small()).truncate(),
+    );
 }
 
 /// The texture of an iteration's lighting.

@@ -54,7 +54,7 @@ pub fn show(ui: &mut egui::Ui, iterations: &[Iteration], tried: &[Tried], marks:
         }
         for (k, (name, tip, points)) in kinds.into_iter().enumerate() {
             let interval = marks.interval.filter(|_| k == 0);
-            time_plot(&mut columns[k], name, tip, points, interval, marks, height);
+            time_plot(&mut columns[k], name, tip, &points, interval, marks, height);
         }
         if plots == 4 {
             profile_plot(&mut columns[3], tried, marks, height);
@@ -83,7 +83,7 @@ fn time_plot(
     ui: &mut egui::Ui,
     name: &str,
     tip: &str,
-    points: Vec<[f64; 2]>,
+    points: &[[f64; 2]],
     interval: Option<[f32; 2]>,
     marks: Marks,
     height: f32,
@@ -105,7 +105,7 @@ fn time_plot(
                 plot.span(band);
             }
             plot.points(
-                Points::new(name, PlotPoints::from(points.clone()))
+                Points::new(name, PlotPoints::from(points.to_vec()))
                     .radius(1.8)
                     .color(palette.accent),
             );
