@@ -80,19 +80,6 @@ fn set(window: &mut Window, label: &str, value: f64) {
     window.run_steps(3);
 }
 
-/// What the window looks like, for looking at: written only where the environment asks for it.
-fn look_at(window: &mut Window, name: &str) {
-    let Some(folder) = std::env::var_os("REKINDLE_LOOK") else {
-        return;
-    };
-    for _ in 0..60 {
-        std::thread::sleep(Duration::from_millis(20));
-        window.step();
-    }
-    let image = window.render().expect("a picture");
-    image.save(Path::new(&folder).join(name)).expect("written");
-}
-
 /// Drags from a place to another by way of those between.
 fn drag(window: &mut Window, from: Pos2, to: Pos2) {
     window.hover_at(from);
@@ -121,7 +108,6 @@ fn give_path(window: &mut Window, path: &Path) {
 fn export(window: &mut Window, folder: &Path) -> Vec<u8> {
     key(window, Modifiers::COMMAND, egui::Key::E);
     wait_for(window, "Choose folder…");
-    look_at(window, "export.png");
     set(window, "Width", 64.0);
     set(window, "Height", 48.0);
     window.run_steps(2);
@@ -159,7 +145,6 @@ fn lamp(window: &Window, id: u32) -> crate::studio::Lamp {
 fn a_lamp_is_muted_dragged_exported_and_comes_back_with_the_project() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut window = window(&saved_solution(folder.path()));
-    look_at(&mut window, "opened.png");
     click(&mut window, "Mute Light 1");
     assert!(lamp(&window, 0).muted);
     key(&mut window, Modifiers::COMMAND, egui::Key::Z);
@@ -177,7 +162,6 @@ fn a_lamp_is_muted_dragged_exported_and_comes_back_with_the_project() {
         mark,
         disc.center() + vec2(-0.3, 0.2) * disc.width(),
     );
-    look_at(&mut window, "dragged.png");
     let after = lamp(&window, 0).direction;
     assert!(after.angle_between(before) > 0.3, "it was moved");
     // −0.3 of the width is −0.6 of the radius, to the west and, downwards, 0.4 to the south.
@@ -228,7 +212,6 @@ fn lamps_are_placed_and_asked_for_by_pointing() {
     let at = view.center() + vec2(0.04, 0.02) * view.width();
     click(&mut window, "Light 2");
     drag(&mut window, at - vec2(30.0, 0.0), at);
-    look_at(&mut window, "placed.png");
     assert_eq!(document(&window).undo_label(), Some("Place highlight"));
     let mirrored = {
         let relighting = window.state().relighting.as_ref().expect("a page");
@@ -242,7 +225,6 @@ fn lamps_are_placed_and_asked_for_by_pointing() {
     window.run_steps(2);
     window.hover_at(at);
     window.run_steps(3);
-    look_at(&mut window, "asked.png");
     let asked = window
         .query_all_by_label_contains("Highlight of Light 2")
         .count();
@@ -299,10 +281,6 @@ fn every_setting_of_a_lamp_is_a_step() {
     assert_eq!(document(&window).state().active, 1);
     key(&mut window, Modifiers::NONE, egui::Key::L);
     assert_eq!(document(&window).state().active, 0);
-    window.set_size(vec2(1024.0, 640.0));
-    look_at(&mut window, "small.png");
-    key(&mut window, Modifiers::COMMAND, egui::Key::T);
-    look_at(&mut window, "light.png");
     let mut steps = Vec::new();
     while let Some(label) = document(&window).undo_label().map(str::to_owned) {
         key(&mut window, Modifiers::COMMAND, egui::Key::Z);
@@ -337,7 +315,6 @@ fn a_light_probe_replaces_the_light_and_can_be_turned() {
     set(&mut window, "Turn of the light probe", 90.0);
     let turned = document(&window).look().probe.as_ref().map(|p| p.rotation);
     assert!((turned.unwrap_or_default() - 90_f32.to_radians()).abs() < 1e-5);
-    look_at(&mut window, "probe.png");
     key(&mut window, Modifiers::COMMAND, egui::Key::Z);
     key(&mut window, Modifiers::COMMAND, egui::Key::Z);
     assert!(document(&window).look().probe.is_none() && !document(&window).is_modified());
@@ -356,7 +333,6 @@ fn an_export_is_stopped_and_leaves_nothing() {
     key(&mut window, Modifiers::COMMAND, egui::Key::E);
     wait_for(&mut window, "Choose folder…");
     click(&mut window, "A turn around the object");
-    look_at(&mut window, "export_turn.png");
     click(&mut window, "Choose folder…");
     let target = folder.path().join("film");
     give_path(&mut window, &target);
@@ -365,7 +341,6 @@ fn an_export_is_stopped_and_leaves_nothing() {
             .next()
             .is_some()
     });
-    look_at(&mut window, "exporting.png");
     click(&mut window, "Stop");
     wait_for(&mut window, "Export stopped");
     assert!(!target.exists(), "nothing is left");
