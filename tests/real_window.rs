@@ -10,6 +10,8 @@ use std::time::{Duration, Instant};
 
 /// Longer than anything here takes on a slow machine.
 const PATIENCE: Duration = Duration::from_mins(2);
+/// Mean brightness of 255 that only a highlight has.
+const HIGHLIGHT: f32 = 200.0;
 /// Side of the screen's width and height in pixels.
 const SCREEN: [u32; 2] = [1280, 820];
 
@@ -83,13 +85,20 @@ impl Desk {
 
     /// Waits for the window's title to begin so. Presses a key again and again until it does: a window that was just made
     /// does not hear the first.
-    fn wait_for(&self, title: &str, key: Option<&str>) {
+    fn wait_for(&mut self, title: &str, key: Option<&str>) {
         let since = Instant::now();
         for round in 0.. {
             if self.window(title).is_some() {
                 return;
             }
-            assert!(since.elapsed() < PATIENCE, "no window called {title}");
+            let ended = self.program.as_mut().and_then(|p| p.try_wait().ok()?);
+            let seen = self
+                .window(".*")
+                .map(|window| self.xdotool(&["getwindowname", &window]));
+            assert!(
+                ended.is_none() && since.elapsed() < PATIENCE,
+                "no window called {title} but {seen:?}; the program ended: {ended:?}"
+            );
             if let (Some(key), 0) = (key, round % 30) {
                 if let Some(window) = self.window(".*Rekindle") {
                     self.xdotool(&["windowfocus", &window]);
@@ -117,19 +126,45 @@ impl Desk {
         image::open(&file).expect("a picture").to_rgb8()
     }
 
-    /// Waits until the screen stands still and returns it.
-    fn still_screen(&self) -> image::RgbImage {
+    /// Waits until the screen stands still and shows what is looked for; returns it with what was seen.
+    fn wait_to_see<T>(
+        &self,
+        what: &str,
+        look: impl Fn(&image::RgbImage) -> Option<T>,
+    ) -> (image::RgbImage, T) {
         let since = Instant::now();
         let mut before = self.screen();
         loop {
-            std::thread::sleep(Duration::from_millis(1500));
+            std::thread::sleep(Duration::from_millis(1000));
             let now = self.screen();
-            if now == before {
-                return now;
+            if let Some(seen) = look(&now).filter(|_| now == before) {
+                return (now, seen);
             }
-            assert!(since.elapsed() < PATIENCE, "the screen never stands still");
+            if since.elapsed() > PATIENCE {
+                keep(&now, "real_unexpected");
+                panic!("not seen: {what}");
+            }
             before = now;
         }
+    }
+
+    /// Takes the mouse along a path with its button held, then off the object.
+    fn drag(&self, path: &[[u32; 2]]) {
+        for (i, at) in path.iter().enumerate() {
+            self.point(*at);
+            if i == 0 {
+                self.xdotool(&["mousedown", "1"]);
+                std::thread::sleep(Duration::from_millis(400));
+            }
+        }
+        self.xdotool(&["mouseup", "1"]);
+        self.point([4, SCREEN[1] / 2]);
+    }
+
+    fn point(&self, at: [u32; 2]) {
+        let [x, y] = at.map(|v| v.to_string());
+        self.xdotool(&["mousemove", &x, &y]);
+        std::thread::sleep(Duration::from_millis(400));
     }
 }
 
@@ -164,41 +199,25 @@ fn a_lamp_is_dragged_and_its_highlight_moves() {
     desk.wait_for("demo.*relighting", None);
     // The first lamp; its highlight follows the mouse over the object.
     desk.key("n");
-    let before = desk.still_screen();
-    let (from, to) = places(&before);
-    let between = [u32::midpoint(from[0], to[0]), u32::midpoint(from[1], to[1])];
-    let drag = |at: [u32; 2], down: &str| {
-        let [x, y] = at.map(|v| v.to_string());
-        desk.xdotool(&["mousemove", &x, &y]);
-        std::thread::sleep(Duration::from_millis(400));
-        if !down.is_empty() {
-            desk.xdotool(&[down, "1"]);
-            std::thread::sleep(Duration::from_millis(400));
-        }
-    };
-    drag(from, "mousedown");
-    drag(between, "");
-    drag(from, "mouseup");
-    drag([4, SCREEN[1] / 2], "");
-    let first = desk.still_screen();
-    drag(from, "mousedown");
-    drag(between, "");
-    drag(to, "mouseup");
-    drag([4, SCREEN[1] / 2], "");
-    let second = desk.still_screen();
-    let [first_from, first_to] = [from, to].map(|at| brightness(&first, at));
-    let [second_from, second_to] = [from, to].map(|at| brightness(&second, at));
-    assert!(
-        first_from > second_from + 25.0 && second_to > first_to + 25.0,
-        "brightness at the first place {first_from} then {second_from}, at the second {first_to} then {second_to}"
-    );
+    let (before, [from, to]) = desk.wait_to_see("an object", places);
+    let between = [u32::midpoint(from[0], to[0]), from[1]];
+    desk.drag(&[from, between, from]);
+    let lit = |at: [u32; 2], screen: &image::RgbImage| brightness(screen, at) > HIGHLIGHT;
+    let (first, ()) = desk.wait_to_see("the highlight at the first place", |screen| {
+        (lit(from, screen) && !lit(to, screen)).then_some(())
+    });
+    desk.drag(&[from, between, to]);
+    let (second, ()) = desk.wait_to_see("the highlight at the second place", |screen| {
+        (lit(to, screen) && !lit(from, screen)).then_some(())
+    });
+    keep(&before, "real_before");
     keep(&first, "real_first");
     keep(&second, "real_second");
     desk.key("ctrl+q");
 }
 
-/// Two places on the object: in the middle of its picture, on one row.
-fn places(screen: &image::RgbImage) -> ([u32; 2], [u32; 2]) {
+/// Two places on the object's flank, on the row that shows most of it: near enough to each other to lie on one smooth part.
+fn places(screen: &image::RgbImage) -> Option<[[u32; 2]; 2]> {
     // The object is what is brighter than the stage, right of the side panel and above the bar.
     let [left, right] = [440, SCREEN[0] - 40];
     let [top, bottom] = [120, SCREEN[1] - 160];
@@ -211,9 +230,8 @@ fn places(screen: &image::RgbImage) -> ([u32; 2], [u32; 2]) {
         }
     }
     let (x, y, count) = best;
-    assert!(count > 10, "no object on the screen");
     let width = 8 * count as u32;
-    ([x + width / 3, y], [x + 2 * width / 3, y])
+    (count > 30).then_some([[x + width / 5, y], [x + 2 * width / 5, y]])
 }
 
 /// Keeps a picture where the environment asks for it.
