@@ -135,7 +135,7 @@ impl Desk {
         let since = Instant::now();
         let mut before = self.screen();
         loop {
-            std::thread::sleep(Duration::from_millis(1000));
+            std::thread::sleep(Duration::from_secs(1));
             let now = self.screen();
             if let Some(seen) = look(&now).filter(|_| now == before) {
                 return (now, seen);

@@ -1,5 +1,7 @@
 //! The pass that adds a frame to the mean of a still picture: `accumulate.wgsl`.
 
+use std::ops::Range;
+
 use super::error::RenderError;
 use super::frame::LINEAR;
 use super::gpu::Gpu;
@@ -51,13 +53,14 @@ impl AccumulatePass {
         })
     }
 
-    /// Adds the bound frame times `weight`, to nothing if it is the first.
+    /// Adds the bound frame's rows times `weight`, to nothing if they are the first.
     pub(super) fn draw(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         frame: &wgpu::BindGroup,
         mean: &wgpu::TextureView,
+        rows: &Range<u32>,
         weight: f32,
         first: bool,
     ) {
@@ -66,6 +69,6 @@ impl AccumulatePass {
             0,
             bytemuck::bytes_of(&[weight, 0.0, 0.0, 0.0]),
         );
-        shader::draw_fullscreen(encoder, &self.pipeline, mean, first, [frame]);
+        shader::draw_fullscreen(encoder, &self.pipeline, mean, Some(rows), first, [frame]);
     }
 }

@@ -89,6 +89,7 @@ impl CombinePass {
             encoder,
             &self.pipeline,
             target,
+            None,
             true,
             layers.iter().map(|(l, _)| &l.group),
         );

@@ -109,6 +109,6 @@ impl DisplayPass {
     ) {
         gpu.queue()
             .write_buffer(&self.display, 0, bytemuck::bytes_of(display));
-        shader::draw_fullscreen(encoder, &self.pipeline, target, true, [picture]);
+        shader::draw_fullscreen(encoder, &self.pipeline, target, None, true, [picture]);
     }
 }

@@ -59,6 +59,7 @@ mod light;
 mod light_picture;
 mod lists;
 mod lobes;
+mod pace;
 mod read_back;
 mod renderer;
 mod request;

@@ -1,5 +1,6 @@
 //! The renderer: keeps what doesn't change, redoes what does, refines what is still.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -14,6 +15,7 @@ use super::gpu::Gpu;
 use super::light::{self, Part, PartKind};
 use super::light_picture::light_picture;
 use super::lists::{self, Lists, Lit, Soft};
+use super::pace::Pace;
 use super::read_back::{LinearImage, ReadBack};
 use super::request::{Background, FrameRequest, Mode};
 use super::shade::{SHADOWS_SIZE, SceneBindings, ShadePass};
@@ -151,6 +153,8 @@ pub struct Renderer {
     displayed: Option<Display>,
     /// Frames of the still picture so far.
     refined: u32,
+    /// How much of the next frame is drawn at a time.
+    pace: Pace,
     /// Parts that were ordered for the light as it is: none, drafts alone, or all.
     ordered: Ordered,
 }
@@ -188,6 +192,7 @@ impl Renderer {
             drawn: None,
             displayed: None,
             refined: 0,
+            pace: Pace::new(),
             ordered: Ordered::All,
             gpu,
         })
@@ -307,6 +312,7 @@ impl Renderer {
         let refined_before = self.refined;
         if moved {
             self.refined = 0;
+            self.pace.restart();
             self.draw_moving(&mut encoder, request)?;
             self.drawn = Some(key);
         } else {
@@ -318,6 +324,9 @@ impl Renderer {
             moved || refined_before != self.refined,
         );
         self.gpu.queue().submit([encoder.finish()]);
+        if !moved {
+            self.pace.time(&self.gpu);
+        }
         let settled = self.is_settled();
         let targets = self.targets.as_ref().ok_or(RenderError::NoSurface)?;
         Ok(Shown {
@@ -627,7 +636,7 @@ impl Renderer {
             &targets.coverage_samples,
             &targets.coverage,
         );
-        self.draw_surface(encoder, &frame, loaded, targets, &targets.moving_view);
+        self.draw_surface(encoder, &frame, loaded, targets, &targets.moving_view, None);
         Ok(())
     }
 
@@ -639,31 +648,39 @@ impl Renderer {
         loaded: &Loaded,
         targets: &Targets,
         target: &wgpu::TextureView,
+        rows: Option<&Range<u32>>,
     ) {
         self.visible.set_frame(&self.gpu, frame);
-        self.visible
-            .draw(encoder, &loaded.buffers, &targets.visible, &targets.depth);
+        self.visible.draw(
+            encoder,
+            &loaded.buffers,
+            &targets.visible,
+            &targets.depth,
+            rows,
+        );
         let groups = [
             &self.visible.frame_group,
             &loaded.buffers.group,
             &loaded.bindings,
             &targets.pixels,
         ];
-        self.shade.draw(encoder, groups, target);
+        self.shade.draw(encoder, groups, target, rows);
     }
 
-    /// Adds a frame to the still picture if it isn't complete.
+    /// Adds a frame, or as much of one as takes a moment, to the still picture if it isn't complete.
     fn refine(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         request: &FrameRequest,
     ) -> Result<(), RenderError> {
+        if self.is_refined() {
+            return Ok(());
+        }
+        let height = request.camera.height.max(1);
+        let rows = self.pace.next(height);
         let (mut frame, loaded) = self.frame(request, lists::jitter(self.refined))?;
         let targets = self.targets.as_ref().ok_or(RenderError::NoSurface)?;
         let light = &loaded.light.lists;
-        if self.refined >= light.frames() {
-            return Ok(());
-        }
         frame.always = [light.always.range.start, light.always.range.end];
         frame.half_vector = self.refined % lists::PLACES;
         frame.first_word = light.always.first_word;
@@ -672,18 +689,22 @@ impl Renderer {
             frame.window = [window.range.start, window.range.end];
             frame.first_word = window.first_word;
         }
-        self.draw_surface(encoder, &frame, loaded, targets, &targets.still_frame);
+        let target = &targets.still_frame;
+        self.draw_surface(encoder, &frame, loaded, targets, target, Some(&rows));
         let weight = 1.0 / light.frames() as f32;
-        let first = self.refined == 0;
+        let first = self.refined == 0 && rows.start == 0;
         self.accumulate.draw(
             &self.gpu,
             encoder,
             &targets.accumulate,
             &targets.mean_view,
+            &rows,
             weight,
             first,
         );
-        self.refined += 1;
+        if rows.end == height {
+            self.refined += 1;
+        }
         Ok(())
     }
 

@@ -1,5 +1,7 @@
 //! The pass that shades what is visible: `shade.wgsl`.
 
+use std::ops::Range;
+
 use super::error::RenderError;
 use super::frame::{GpuShadowMap, LINEAR};
 use super::gpu::Gpu;
@@ -115,14 +117,15 @@ impl ShadePass {
         })
     }
 
-    /// Shades all pixels. The groups are those of the frame, the surface, the scene and the pixels.
+    /// Shades all pixels, or those of some rows. The groups are those of the frame, the surface, the scene and the pixels.
     pub(super) fn draw(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         groups: [&wgpu::BindGroup; 4],
         target: &wgpu::TextureView,
+        rows: Option<&Range<u32>>,
     ) {
-        let mut pass = shader::picture_pass(encoder, target, true);
+        let mut pass = shader::picture_pass(encoder, target, rows, true);
         pass.set_pipeline(&self.pipeline);
         for (i, group) in groups.into_iter().enumerate() {
             pass.set_bind_group(i as u32, group, &[]);

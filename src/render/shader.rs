@@ -1,6 +1,8 @@
 //! The shaders' source: files of `shaders/`, joined by `#import name.wgsl` lines. Every file comes in once, before the
 //! line that asked for it.
 
+use std::ops::Range;
+
 use super::error::RenderError;
 use super::gpu::Gpu;
 
@@ -93,10 +95,11 @@ pub(super) fn fullscreen(
     })
 }
 
-/// A pass that draws into a picture.
+/// A pass that draws into a picture, or into some of its rows.
 pub(super) fn picture_pass<'e>(
     encoder: &'e mut wgpu::CommandEncoder,
     target: &wgpu::TextureView,
+    rows: Option<&Range<u32>>,
     clear: bool,
 ) -> wgpu::RenderPass<'e> {
     let load = if clear {
@@ -104,7 +107,7 @@ pub(super) fn picture_pass<'e>(
     } else {
         wgpu::LoadOp::Load
     };
-    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+    let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
         label: Some("picture"),
         color_attachments: &[Some(wgpu::RenderPassColorAttachment {
             view: target,
@@ -116,7 +119,21 @@ pub(super) fn picture_pass<'e>(
             },
         })],
         ..wgpu::RenderPassDescriptor::default()
-    })
+    });
+    limit_to_rows(&mut pass, target, rows);
+    pass
+}
+
+/// Leaves all but some rows of a pass's target alone.
+pub(super) fn limit_to_rows(
+    pass: &mut wgpu::RenderPass<'_>,
+    target: &wgpu::TextureView,
+    rows: Option<&Range<u32>>,
+) {
+    if let Some(rows) = rows {
+        let width = target.texture().width();
+        pass.set_scissor_rect(0, rows.start, width, rows.end - rows.start);
+    }
 }
 
 /// Draws a fullscreen pipeline once for each bind group.
@@ -124,10 +141,11 @@ pub(super) fn draw_fullscreen<'a>(
     encoder: &mut wgpu::CommandEncoder,
     pipeline: &wgpu::RenderPipeline,
     target: &wgpu::TextureView,
+    rows: Option<&Range<u32>>,
     clear: bool,
     groups: impl IntoIterator<Item = &'a wgpu::BindGroup>,
 ) {
-    let mut pass = picture_pass(encoder, target, clear);
+    let mut pass = picture_pass(encoder, target, rows, clear);
     pass.set_pipeline(pipeline);
     for group in groups {
         pass.set_bind_group(0, group, &[]);

@@ -1,5 +1,7 @@
 //! The pass that finds which triangle each pixel shows, and how much of it the object covers: `visible.wgsl`.
 
+use std::ops::Range;
+
 use super::error::RenderError;
 use super::frame::{DEPTH, Frame};
 use super::gpu::Gpu;
@@ -65,13 +67,14 @@ impl VisiblePass {
             .write_buffer(&self.frame, 0, bytemuck::bytes_of(frame));
     }
 
-    /// Finds the visible triangles.
+    /// Finds the visible triangles, of all rows or of some.
     pub(super) fn draw(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         surface: &SurfaceBuffers,
         visible: &wgpu::TextureView,
         depth: &wgpu::TextureView,
+        rows: Option<&Range<u32>>,
     ) {
         let depth = wgpu::RenderPassDepthStencilAttachment {
             view: depth,
@@ -87,6 +90,7 @@ impl VisiblePass {
             surface,
             [visible, visible],
             Some(depth),
+            rows,
         );
     }
 
@@ -98,7 +102,14 @@ impl VisiblePass {
         samples: &wgpu::TextureView,
         coverage: &wgpu::TextureView,
     ) {
-        self.run(encoder, &self.coverage, surface, [samples, coverage], None);
+        self.run(
+            encoder,
+            &self.coverage,
+            surface,
+            [samples, coverage],
+            None,
+            None,
+        );
     }
 
     fn run(
@@ -108,6 +119,7 @@ impl VisiblePass {
         surface: &SurfaceBuffers,
         [target, resolved]: [&wgpu::TextureView; 2],
         depth: Option<wgpu::RenderPassDepthStencilAttachment>,
+        rows: Option<&Range<u32>>,
     ) {
         let resolve = depth.is_none();
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -128,6 +140,7 @@ impl VisiblePass {
             depth_stencil_attachment: depth,
             ..wgpu::RenderPassDescriptor::default()
         });
+        shader::limit_to_rows(&mut pass, target, rows);
         pass.set_pipeline(pipeline);
         pass.set_bind_group(0, &self.frame_group, &[]);
         pass.set_bind_group(1, &surface.group, &[]);
