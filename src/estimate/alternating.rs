@@ -85,8 +85,7 @@ pub fn solve(
 ) -> Result<Option<Solution>, Stopped> {
     go_on(watch.observer.progress("initial hemisphere", 0.0))?;
     let mut all = Observations::gather(
-        solver.capture,
-        solver.surfaces,
+        &solver.seen,
         &Sampling {
             candidates: VOTING_POINTS,
             limit: VOTING_POINTS,

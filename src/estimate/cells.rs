@@ -110,6 +110,14 @@ impl Pyramid {
             .collect()
     }
 
+    /// The cell of the coarsest level whose centre is nearest to a direction; the first if that is below the rim.
+    pub fn root_at(&self, direction: Vec3) -> Cell {
+        Cell {
+            level: 0,
+            node: self.levels[0].grid.nearest(direction).unwrap_or(0) as u32,
+        }
+    }
+
     /// Mean angle between neighbouring nodes of a level, radians.
     pub fn spacing(&self, level: u8) -> f32 {
         self.levels[level as usize].grid.spacing()

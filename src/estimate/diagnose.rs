@@ -2,6 +2,7 @@
 
 use super::fast::{CoarseFit, Fit};
 use super::observations::Observations;
+use super::relief::RefinedSurface;
 use super::state::State;
 use crate::capture::Capture;
 
@@ -20,6 +21,9 @@ const LARGEST_RELATIVE_ERROR: f32 = 0.3;
 /// Part of the differences between views past which what is left is no noise: sound captures leave up to 0.15, those
 /// with the normals of a mesh decimated tenfold 0.6.
 const MOST_UNEXPLAINED: f64 = 0.35;
+
+/// Part of what a coarse fit leaves on the capture's mesh that it may leave on a refined one for that to be used.
+const LEFT_ON_A_BETTER_SURFACE: f64 = 0.6;
 
 /// A lobe wider than this, in radians, is no highlight: it spans most of the hemisphere.
 const WIDEST_LOBE: f32 = 0.5;
@@ -77,6 +81,27 @@ const NO_DETAIL: &str = "The lighting has no detail sharp enough to tell its own
 pub fn not_sharp(coarse: &CoarseFit<'_>) -> Option<String> {
     let broad = coarse.state.brdf.sigma > WIDEST_LOBE;
     (broad || coarse.sharpness < LEAST_SHARPNESS).then(|| NO_DETAIL.to_owned())
+}
+
+/// Whether a coarse fit leaves so much that the normals are probably off by more than a highlight is wide: sound captures
+/// leave up to 0.14, meshes decimated tenfold 0.62 and more.
+pub fn surface_too_coarse(state: &State<'_>) -> bool {
+    state.unexplained_share() > MOST_UNEXPLAINED
+}
+
+/// Whether the second of two coarse fits, on a refined surface, explains much more than the first, on the capture's mesh.
+pub fn is_better_surface(mesh: &State<'_>, refined: &State<'_>) -> bool {
+    refined.unexplained_share() < LEFT_ON_A_BETTER_SURFACE * mesh.unexplained_share()
+}
+
+/// What is said where the surface was refined.
+pub fn refined(surface: &RefinedSurface) -> String {
+    format!(
+        "The mesh is too coarse for the highlights. A smooth surface through it was refined by them, which turned the normals \
+         by {:.1}° in the median; the solution holds this surface. A finer mesh, or one with the object's normals, gives better \
+         results.",
+        surface.median_tilt.to_degrees()
+    )
 }
 
 /// What to doubt about a fit that leaves most of the highlights unexplained.

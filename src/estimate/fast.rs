@@ -17,13 +17,12 @@ use super::design::Design;
 use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
 use super::model::{Brdf, SpecularModel};
-use super::observations::{Observations, Row, Sampling};
+use super::observations::{Observations, Row, Sampling, Seen};
 use super::observer::{Interim, Iteration, Observer, Stopped, go_on};
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
 use super::visibility::cell_visibility;
-use crate::capture::Capture;
 use crate::hemisphere::HemisphereGrid;
-use crate::surface::{Occluder, ViewSurface};
+use crate::surface::Occluder;
 
 /// Roughnesses compared on the coarsest cells, radians.
 const SIGMAS: [f32; 6] = [0.34, 0.21, 0.13, 0.08, 0.05, 0.03];
@@ -93,10 +92,8 @@ pub struct CoarseFit<'a> {
 
 /// All that a fit works on.
 pub struct Solver<'a> {
-    /// Photographs, cameras and mesh.
-    pub capture: &'a Capture,
-    /// What each view sees.
-    pub surfaces: &'a [ViewSurface],
+    /// Mesh, photographs and cameras.
+    pub seen: Seen<'a>,
     /// The object, for shadows.
     pub occluder: &'a Occluder,
     /// Nodes of the result, the finest of the pyramid.
@@ -139,20 +136,20 @@ pub struct Watch<'w> {
 }
 
 impl Solver<'_> {
-    /// Points for the coarsest cells.
+    /// Points for the coarsest cells; `scale` is the radiance that counts as 1, if it has been chosen already.
     pub fn coarse_observations(
-        capture: &Capture,
-        surfaces: &[ViewSurface],
+        seen: &Seen<'_>,
+        scale: Option<f32>,
         stop: &AtomicBool,
     ) -> Observations {
         let sampling = Sampling {
             candidates: COARSE_POINTS,
             limit: COARSE_POINTS,
             keep: &|_, _, _| true,
-            scale: None,
+            scale,
             stop,
         };
-        Observations::gather(capture, surfaces, &sampling).to_gray()
+        Observations::gather(seen, &sampling).to_gray()
     }
 
     /// The best of [`SIGMAS`] on the coarsest cells, improved by a few steps. Where another model's roughness is known,
@@ -216,7 +213,7 @@ impl Solver<'_> {
 
     /// Goes on from a coarse fit to single nodes.
     pub fn fine_fit(&self, coarse: &State<'_>, watch: &mut Watch<'_>) -> Result<Fit, Stopped> {
-        let gray = self.fine_observations(coarse, MIDDLE_POINTS).to_gray();
+        let gray = self.middle_observations(coarse).to_gray();
         let colour = self.fine_observations(coarse, FINE_POINTS);
         let mut state = coarse.clone();
         let mut error = f64::INFINITY;
@@ -300,6 +297,11 @@ impl Solver<'_> {
         }
     }
 
+    /// Points for cells between the coarsest and the finest.
+    pub fn middle_observations(&self, coarse: &State<'_>) -> Observations {
+        self.fine_observations(coarse, MIDDLE_POINTS)
+    }
+
     /// Points at which one of the lit cells, or one beside them, could show.
     fn fine_observations(&self, coarse: &State<'_>, limit: usize) -> Observations {
         let (split, kept) = self.worth_splitting(coarse);
@@ -327,7 +329,7 @@ impl Solver<'_> {
             scale: Some(self.coarse.scale),
             stop: self.stop,
         };
-        Observations::gather(self.capture, self.surfaces, &sampling)
+        Observations::gather(&self.seen, &sampling)
     }
 
     /// Lit cells and those beside them, to be split; and lit cells that are too dim to be.
@@ -366,7 +368,7 @@ impl Solver<'_> {
     }
 
     /// Splits lit cells and those beside them, drops dark ones and looks for shadows.
-    fn refine<'s>(&'s self, state: &State<'_>, observations: &'s Observations) -> State<'s> {
+    pub fn refine<'s>(&'s self, state: &State<'_>, observations: &'s Observations) -> State<'s> {
         let (split, kept) = self.worth_splitting(state);
         let mut cells: Vec<Cell> = kept.into_iter().collect();
         for &cell in &split {

@@ -14,6 +14,7 @@ mod lobes;
 mod model;
 mod observations;
 mod observer;
+mod relief;
 mod state;
 mod total_variation;
 mod visibility;
@@ -35,9 +36,12 @@ use alternating::Order;
 use cells::Pyramid;
 use fast::{CoarseFit, Fit, Solver, Watch};
 pub use model::{Brdf, LobeValue, SpecularModel, ViewTerms};
+use observations::Seen;
 use observer::Watcher;
 pub(crate) use observer::watched;
 pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
+use relief::Bench;
+pub use relief::RefinedSurface;
 
 /// How the minimum is sought.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -112,6 +116,8 @@ pub struct Estimate {
     pub convergence: Vec<Iteration>,
     /// Why this specular model, in a sentence.
     pub chosen_because: String,
+    /// The surface that all this holds for, where it isn't the capture's mesh: that one is too coarse.
+    pub refined: Option<RefinedSurface>,
 }
 
 /// Estimates roughness and lighting of a capture.
@@ -141,14 +147,18 @@ fn run(
     let observer: &mut dyn Observer = &mut watcher;
     let grid = input.grid;
     let pyramid = Pyramid::new(grid, fast::COARSEST);
-    let solver = Solver {
-        capture: input.capture,
+    let seen = Seen {
+        mesh: &input.capture.mesh,
+        views: &input.capture.views,
         surfaces: input.surfaces,
+    };
+    let solver = Solver {
+        seen,
         occluder: input.occluder,
         grid,
         pyramid: &pyramid,
         near: grid.radius.map(|r| (grid.centre, r)),
-        coarse: Solver::coarse_observations(input.capture, input.surfaces, stop),
+        coarse: Solver::coarse_observations(&seen, None, stop),
         started: Instant::now(),
         stop,
     };
@@ -160,6 +170,7 @@ fn run(
         diagnostics: Diagnostics::default(),
         convergence: Vec::new(),
         chosen_because: String::new(),
+        refined: None,
     };
     if let Some(reason) = diagnose::unseparable(input.capture, &solver.coarse) {
         result.diagnostics.warnings.push(reason);
@@ -178,7 +189,7 @@ fn run(
         iterations: &mut result.convergence,
         observer,
     };
-    let (coarse, because) = choose(&solver, params.specular, &mut watch)?;
+    let (coarse, mut because) = choose(&solver, params.specular, &mut watch)?;
     if let Some(reason) = diagnose::no_specular(&coarse.state) {
         result.diagnostics.warnings.push(reason);
         return Ok(result);
@@ -187,9 +198,22 @@ fn run(
         result.diagnostics.warnings.push(reason);
         return Ok(result);
     }
-    let lobe = coarse.state.brdf.model;
-    watch.observer.interim(Interim::Lobe(lobe));
-    let fit = solver.fine_fit(&coarse.state, &mut watch)?;
+    let refined = if diagnose::surface_too_coarse(&coarse.state) {
+        relief::refine(&solver, params.specular, &mut watch)?
+    } else {
+        None
+    };
+    let on_refined = match &refined {
+        Some(surface) => fit_on(surface, &solver, &coarse, params.specular, &mut watch)?,
+        None => None,
+    };
+    let fit = if let Some((fit, reason)) = on_refined {
+        because = reason;
+        result.refined = refined;
+        fit
+    } else {
+        finish(&solver, &coarse, &mut watch)?
+    };
     result.chosen_because = because;
     let ended = watch.observer.enough();
     accept(&mut result, fit);
@@ -198,6 +222,35 @@ fn run(
         warnings.push(diagnose::ENDED_EARLY.to_owned());
     }
     Ok(result)
+}
+
+/// The fit on a refined surface, with the reason for its specular model; `None` unless it explains much more than `coarse`,
+/// the coarse fit on the solver's own surface.
+fn fit_on(
+    surface: &RefinedSurface,
+    solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<(Fit, String)>, Stopped> {
+    let bench = Bench::new(&surface.mesh, solver.seen.views);
+    let refined = bench.solver(solver, &surface.mesh);
+    let (again, because) = choose(&refined, choice, watch)?;
+    if !diagnose::is_better_surface(&coarse.state, &again.state) {
+        return Ok(None);
+    }
+    Ok(Some((finish(&refined, &again, watch)?, because)))
+}
+
+/// Goes on from a coarse fit to the end.
+fn finish(
+    solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    watch: &mut Watch<'_>,
+) -> Result<Fit, Stopped> {
+    let lobe = coarse.state.brdf.model;
+    watch.observer.interim(Interim::Lobe(lobe));
+    solver.fine_fit(&coarse.state, watch)
 }
 
 /// Runs one of the paper's reference methods; the paper's lobe is theirs unless another is asked for.
@@ -243,6 +296,8 @@ fn accept(result: &mut Estimate, fit: Fit) {
     let half_width = 1.96 * fit.sigma_error;
     let misfit = diagnose::misfit(&fit);
     result.diagnostics.well_posed = misfit.is_none();
+    let refined = result.refined.as_ref().map(diagnose::refined);
+    result.diagnostics.warnings.extend(refined);
     result.diagnostics.warnings.extend(misfit);
     result.diagnostics.specular_found = true;
     result.sigma_interval95 = Some([(sigma - half_width).max(0.0), sigma + half_width]);

@@ -6,15 +6,26 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use glam::{DVec2, Vec3};
+use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
-use crate::capture::{Capture, Photograph};
+use crate::capture::{Mesh, Photograph, View};
 use crate::surface::ViewSurface;
 
 /// Rows at a smaller cosine between normal and view are not used: 1/cos θ_r magnifies there whatever is wrong in
 /// the normals, and a pixel covers many of them.
 pub const MIN_COS_ROW: f32 = 0.2;
+
+/// A surface and the photographs of it.
+#[derive(Clone, Copy)]
+pub struct Seen<'a> {
+    /// The surface.
+    pub mesh: &'a Mesh,
+    /// Photographs and cameras.
+    pub views: &'a [View],
+    /// What each view sees of the surface, one per view.
+    pub surfaces: &'a [ViewSurface],
+}
 
 /// The radiance of one surface point in one view.
 #[derive(Clone, Copy, Debug)]
@@ -38,6 +49,8 @@ pub struct Point {
     pub position: Vec3,
     /// Unit shading normal.
     pub normal: Vec3,
+    /// The triangle it lies on, and its weights of the second and third corner.
+    pub on: (u32, Vec2),
     /// Its rows in [`Observations::rows`].
     pub rows: std::ops::Range<usize>,
 }
@@ -71,8 +84,9 @@ pub struct Sampling<'a> {
 
 impl Observations {
     /// Gathers points from all views.
-    pub fn gather(capture: &Capture, surfaces: &[ViewSurface], sampling: &Sampling<'_>) -> Self {
-        let interior: usize = surfaces
+    pub fn gather(seen: &Seen<'_>, sampling: &Sampling<'_>) -> Self {
+        let interior: usize = seen
+            .surfaces
             .iter()
             .map(|s| s.interior.iter().filter(|&&i| i).count())
             .sum();
@@ -80,17 +94,17 @@ impl Observations {
         let cell = (interior as f64 / sampling.candidates.max(1) as f64)
             .sqrt()
             .max(1.0);
-        let mut found: Vec<Candidate> = (0..capture.views.len())
+        let mut found: Vec<Candidate> = (0..seen.views.len())
             .into_par_iter()
             .flat_map_iter(|view| {
-                pixel_grid(&surfaces[view], cell, view)
+                pixel_grid(&seen.surfaces[view], cell, view)
                     .map(move |(x, y, order)| (order, view, x, y))
             })
             .filter_map(|(order, view, x, y)| {
                 if sampling.stop.load(Ordering::Relaxed) {
                     return None;
                 }
-                candidate(capture, surfaces, view, [x, y], order)
+                candidate(seen, view, [x, y], order)
             })
             .collect();
         found.retain(|c| c.rows.len() >= 2);
@@ -110,6 +124,7 @@ impl Observations {
             all.points.push(Point {
                 position: candidate.position,
                 normal: candidate.normal,
+                on: candidate.on,
                 rows: first..all.rows.len(),
             });
             sum += candidate
@@ -169,6 +184,7 @@ struct Candidate {
     order: (u32, usize, u32, u32),
     position: Vec3,
     normal: Vec3,
+    on: (u32, Vec2),
     rows: Vec<Row>,
 }
 
@@ -205,40 +221,31 @@ fn hash(x: u32, y: u32, z: u32) -> u32 {
     x
 }
 
-fn candidate(
-    capture: &Capture,
-    surfaces: &[ViewSurface],
-    view: usize,
-    [x, y]: [u32; 2],
-    order: u32,
-) -> Option<Candidate> {
-    let surface = &surfaces[view];
+fn candidate(seen: &Seen<'_>, view: usize, [x, y]: [u32; 2], order: u32) -> Option<Candidate> {
+    let surface = &seen.surfaces[view];
     if x >= surface.width || y >= surface.height {
         return None;
     }
     if !surface.interior[(y * surface.width + x) as usize] {
         return None;
     }
-    let point = surface.point(&capture.mesh, &capture.views[view].camera, x, y)?;
-    let rows: Vec<Row> = (0..capture.views.len())
-        .filter_map(|v| row(capture, surfaces, v, point.position, point.normal))
+    let triangle = surface.triangle[(y * surface.width + x) as usize];
+    let barycentric = surface.barycentric(seen.mesh, &seen.views[view].camera, x, y)?;
+    let point = seen.mesh.point(triangle, barycentric);
+    let rows: Vec<Row> = (0..seen.views.len())
+        .filter_map(|v| row(seen, v, point.position, point.normal))
         .collect();
     (!rows.is_empty()).then_some(Candidate {
         order: (order, view, x, y),
         position: point.position,
         normal: point.normal,
+        on: (triangle, barycentric),
         rows,
     })
 }
 
-fn row(
-    capture: &Capture,
-    surfaces: &[ViewSurface],
-    view: usize,
-    position: Vec3,
-    normal: Vec3,
-) -> Option<Row> {
-    let camera = &capture.views[view].camera;
+fn row(seen: &Seen<'_>, view: usize, position: Vec3, normal: Vec3) -> Option<Row> {
+    let camera = &seen.views[view].camera;
     let to_camera = (camera.position() - position.as_dvec3())
         .normalize_or_zero()
         .as_vec3();
@@ -246,8 +253,9 @@ fn row(
     if cos_view < MIN_COS_ROW {
         return None;
     }
-    let pixel = surfaces[view].sees(camera, position)?;
-    let (radiance, detail) = interpolate(&capture.views[view].photograph, &surfaces[view], pixel)?;
+    let pixel = seen.surfaces[view].sees(camera, position)?;
+    let (radiance, detail) =
+        interpolate(&seen.views[view].photograph, &seen.surfaces[view], pixel)?;
     Some(Row {
         view,
         to_camera,

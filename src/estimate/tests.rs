@@ -14,12 +14,17 @@ use super::observations::{Observations, Point, Row};
 use super::state::{EXACT, State};
 use super::*;
 use crate::capture::read_radiance;
+use crate::hemisphere::{Lamp, find_lamps};
 
 static NEVER: AtomicBool = AtomicBool::new(false);
 
 fn load() -> Capture {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures/spot_paper");
-    Capture::load(&folder).unwrap()
+    load_named("spot_paper")
+}
+
+fn load_named(name: &str) -> Capture {
+    let captures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures");
+    Capture::load(&captures.join(name)).unwrap()
 }
 
 fn run_on(
@@ -138,6 +143,44 @@ fn uniform_light_on_a_glossy_object_is_left_diffuse() {
         view.photograph.radiance = (0..surface.interior.len()).map(shaded).collect();
     }
     is_diffuse_only(&fast(&capture), "no detail");
+}
+
+#[test]
+fn a_mesh_coarser_than_the_highlights_is_refined() {
+    let capture = load_named("spot_decimated");
+    let found = fast(&capture);
+    let surface = found.refined.as_ref().expect("the mesh is too coarse");
+    assert!(found.diagnostics.well_posed, "{:?}", found.diagnostics);
+    assert_eq!(
+        surface.mesh.triangles.len(),
+        16 * capture.mesh.triangles.len()
+    );
+    let tilt = surface.median_tilt.to_degrees();
+    assert!((1.0..6.0).contains(&tilt), "{tilt}°");
+    // From the truth.json of spot_paper.
+    let sigma = found.brdf.unwrap().sigma;
+    assert!((sigma / 0.085 - 1.0).abs() < 0.05, "{sigma}");
+    let up = capture.light_hemisphere.up.as_vec3();
+    let grid = HemisphereGrid::new(40, up, None, capture.mesh.centre());
+    let lamps = find_lamps(&grid, &found.radiance);
+    for truth in [
+        Vec3::new(-0.619_74, 0.587_79, 0.520_03),
+        Vec3::new(0.405_58, std::f32::consts::FRAC_1_SQRT_2, 0.579_23),
+    ] {
+        let off = lamps[..2]
+            .iter()
+            .map(|lamp| lamp.direction.angle_between(truth).to_degrees())
+            .fold(f32::INFINITY, f32::min);
+        assert!(off < 1.0, "{off}° off");
+    }
+    let all: f32 = lamps.iter().map(Lamp::mean_flux).sum();
+    let strays: f32 = lamps[2..].iter().map(Lamp::mean_flux).sum();
+    assert!(strays < 0.03 * all, "{strays} of {all}");
+}
+
+#[test]
+fn a_sound_mesh_is_kept() {
+    assert!(fast(&load()).refined.is_none());
 }
 
 #[test]
@@ -302,6 +345,7 @@ fn bare_observations(points: usize, random: &mut Random) -> Observations {
         all.points.push(Point {
             position: Vec3::ZERO,
             normal,
+            on: (0, glam::Vec2::ZERO),
             rows: first..all.rows.len(),
         });
     }

@@ -133,6 +133,20 @@ pub fn robust_weights(design: &Design<'_>, residuals: &Residuals) -> Vec<f32> {
         .collect()
 }
 
+/// Huber weights about the mean squared residual, of which the second value is, in place of the median: where the model is
+/// wrong for most highlights, the median is of the rows without any and takes all highlights for outliers.
+pub fn mean_weights(design: &Design<'_>, brdf: &Brdf, prediction: &Prediction) -> (Vec<f32>, f64) {
+    const ROUNDS: usize = 3;
+    let mut weights = initial_weights(design);
+    let mut noise = 0.0;
+    for _ in 0..ROUNDS {
+        let left = residuals(design, brdf, &weights, prediction);
+        noise = weighted_rms(&weights, &left);
+        weights = robust_weights(design, &Residuals { noise, ..left });
+    }
+    (weights, f64::from(noise).powi(2).max(1e-14))
+}
+
 /// Huber's objective over all rows in units of the squared scale of the observations, for a given noise level.
 pub fn robust_objective(design: &Design<'_>, residuals: &Residuals, noise: f32) -> f64 {
     let floor = noise.max(1e-7);

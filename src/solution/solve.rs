@@ -6,7 +6,7 @@ use std::time::Instant;
 use glam::Vec3;
 
 use super::{Fit, HemispherePicture, Solution, SolutionLamp, lighting};
-use crate::capture::Capture;
+use crate::capture::{Capture, Mesh, View};
 use crate::estimate::{
     Diagnostics, Estimate, EstimateInput, EstimateParams, Interim, Iteration, Observer, Stopped,
     estimate, watched,
@@ -99,32 +99,30 @@ pub fn solve(
         since: Instant::now(),
         stages: vec![("load".to_owned(), load_s)],
     };
-    let mesh = &capture.mesh;
-    report(observer, SURFACE)?;
-    let occluder = Occluder::new(mesh);
-    let mut surfaces = Vec::with_capacity(capture.views.len());
-    for view in &capture.views {
-        report(observer, SURFACE)?;
-        surfaces.push(ViewSurface::new(mesh, &occluder, &view.camera));
-    }
-    report(observer, SURFACE)?;
-    let density = wanted_density(mesh, &capture.views, &surfaces, TEXELS_PER_PIXEL);
-    let atlas = Atlas::new(mesh, &density);
+    let mut measured = Measured::new(&capture.mesh, &capture.views, observer, SURFACE)?;
     let grid = hemisphere(capture, options);
     clock.lap("surface");
 
-    let (pictures, minimum) = hemispheres(capture, &surfaces, &atlas, &grid, observer)?;
+    let (pictures, mut minimum) = hemispheres(capture, &measured, &grid, observer)?;
     clock.lap("hemispheres");
 
     report(observer, ESTIMATE)?;
     let input = EstimateInput {
         capture,
-        surfaces: &surfaces,
-        occluder: &occluder,
+        surfaces: &measured.surfaces,
+        occluder: &measured.occluder,
         grid: &grid,
     };
     let found = estimate(&input, &options.estimate, &mut Part { observer })?;
-    drop(surfaces);
+    let mut mesh = &capture.mesh;
+    if let Some(refined) = &found.refined {
+        mesh = &refined.mesh;
+        measured = Measured::new(mesh, &capture.views, observer, TEXTURE)?;
+        minimum = minimum_texture(mesh, &measured.atlas, &capture.views, &measured.surfaces);
+    }
+    let Measured {
+        occluder, atlas, ..
+    } = measured;
     clock.lap("estimate");
 
     let lamps = name_lamps(&grid, &found);
@@ -188,6 +186,39 @@ pub fn solve(
     })
 }
 
+/// What all stages need of a mesh.
+struct Measured {
+    occluder: Occluder,
+    surfaces: Vec<ViewSurface>,
+    atlas: Atlas,
+}
+
+impl Measured {
+    /// Looks at a mesh from all views; progress is reported as of `stage`.
+    fn new(
+        mesh: &Mesh,
+        views: &[View],
+        observer: &mut dyn Observer,
+        stage: (&str, f32),
+    ) -> Result<Self, Stopped> {
+        report(observer, stage)?;
+        let occluder = Occluder::new(mesh);
+        let mut surfaces = Vec::with_capacity(views.len());
+        for view in views {
+            report(observer, stage)?;
+            surfaces.push(ViewSurface::new(mesh, &occluder, &view.camera));
+        }
+        report(observer, stage)?;
+        let density = wanted_density(mesh, views, &surfaces, TEXELS_PER_PIXEL);
+        let atlas = Atlas::new(mesh, &density);
+        Ok(Self {
+            occluder,
+            surfaces,
+            atlas,
+        })
+    }
+}
+
 fn report(observer: &mut dyn Observer, (what, fraction): (&str, f32)) -> Result<(), Stopped> {
     match observer.progress(what, fraction) {
         ControlFlow::Continue(()) => Ok(()),
@@ -209,11 +240,13 @@ fn hemisphere(capture: &Capture, options: &SolveOptions) -> HemisphereGrid {
 /// Pictures of the initial hemisphere and of each view's partial one (2.2).
 fn hemispheres(
     capture: &Capture,
-    surfaces: &[ViewSurface],
-    atlas: &Atlas,
+    measured: &Measured,
     grid: &HemisphereGrid,
     observer: &mut dyn Observer,
 ) -> Result<(Vec<HemispherePicture>, MinimumTexture), Stopped> {
+    let Measured {
+        surfaces, atlas, ..
+    } = measured;
     report(observer, HEMISPHERES)?;
     let minimum = minimum_texture(&capture.mesh, atlas, &capture.views, surfaces);
     observer.interim(Interim::Texture {

@@ -3,11 +3,13 @@
 mod atlas;
 mod bvh;
 mod charts;
+mod fairing;
 mod texture;
 mod visible;
 
 pub use atlas::{Atlas, LARGEST_SIDE, Texel};
 pub use bvh::{Hit, Occluder, WalkNode};
+pub use fairing::{Fairing, area_vectors};
 pub use texture::{
     FULL_COVERAGE, GRAZING, MinimumTexture, Observation, is_object, minimum_texture, observations,
     observe, wanted_density,
