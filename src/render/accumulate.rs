@@ -6,6 +6,7 @@ use super::error::RenderError;
 use super::frame::LINEAR;
 use super::gpu::Gpu;
 use super::shader;
+use super::targets::Targets;
 
 /// The pipeline and its weight.
 pub(super) struct AccumulatePass {
@@ -53,13 +54,12 @@ impl AccumulatePass {
         })
     }
 
-    /// Adds the bound frame's rows times `weight`, to nothing if they are the first.
+    /// Adds rows of the still frame times `weight`, to nothing if they are the first.
     pub(super) fn draw(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        frame: &wgpu::BindGroup,
-        mean: &wgpu::TextureView,
+        targets: &Targets,
         rows: &Range<u32>,
         weight: f32,
         first: bool,
@@ -69,6 +69,13 @@ impl AccumulatePass {
             0,
             bytemuck::bytes_of(&[weight, 0.0, 0.0, 0.0]),
         );
-        shader::draw_fullscreen(encoder, &self.pipeline, mean, Some(rows), first, [frame]);
+        shader::draw_fullscreen(
+            encoder,
+            &self.pipeline,
+            &targets.mean_view,
+            Some(rows),
+            first,
+            [&targets.accumulate],
+        );
     }
 }

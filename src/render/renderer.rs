@@ -693,15 +693,8 @@ impl Renderer {
         self.draw_surface(encoder, &frame, loaded, targets, target, Some(&rows));
         let weight = 1.0 / light.frames() as f32;
         let first = self.refined == 0 && rows.start == 0;
-        self.accumulate.draw(
-            &self.gpu,
-            encoder,
-            &targets.accumulate,
-            &targets.mean_view,
-            &rows,
-            weight,
-            first,
-        );
+        self.accumulate
+            .draw(&self.gpu, encoder, targets, &rows, weight, first);
         if rows.end == height {
             self.refined += 1;
         }
