@@ -490,7 +490,7 @@ impl Viewport {
         let Some(state) = scene.gpu.filter(|_| self.failure.is_none()) else {
             return false;
         };
-        if self.compare.kind != Kind::Object && self.compare.is_possible() {
+        if self.compares() {
             return false;
         }
         let solution = Arc::clone(solution);
@@ -576,7 +576,7 @@ impl Viewport {
         version: u64,
         subject: impl FnOnce() -> Option<(Subject, Lighting)>,
     ) {
-        if self.compare.kind != Kind::Object && self.compare.is_possible() {
+        if self.compares() {
             self.ask_for_comparison(worker, subject);
             return;
         }
@@ -665,7 +665,7 @@ impl Viewport {
 
     fn paint(&mut self, ui: &mut egui::Ui, painter: &egui::Painter, rect: Rect) {
         let display = self.display();
-        if self.compare.kind != Kind::Object && self.compare.is_possible() {
+        if self.compares() {
             self.compare.paint(ui, rect, &display);
             return;
         }
@@ -769,12 +769,18 @@ impl Viewport {
         );
     }
 
+    /// Whether a photograph and its rendering are shown instead of the object.
+    fn compares(&self) -> bool {
+        self.compare.kind != Kind::Object && self.compare.is_possible()
+    }
+
     /// The bar below the picture.
     fn bar_ui(&mut self, ui: &mut egui::Ui) {
         ui.horizontal_centered(|ui| {
             self.camera_ui(ui);
             self.mode_ui(ui);
-            if self.gpu.as_ref().is_some_and(|gpu| !gpu.is_settled()) {
+            // Beside a photograph the graphics card rests.
+            if !self.compares() && self.gpu.as_ref().is_some_and(|gpu| !gpu.is_settled()) {
                 ui.weak("Refining…")
                     .on_hover_text("Light is being baked, or the still picture made better");
             }
