@@ -26,6 +26,7 @@ use crate::worker::{Latest, Rendered, Shot, Subject, Worker};
 use compare::{Compare, Kind};
 use display::{Display, Linear};
 use eframe::egui_wgpu::RenderState;
+use eframe::wgpu;
 use gpu::GpuPicture;
 use histogram::Histogram;
 
@@ -33,6 +34,8 @@ use histogram::Histogram;
 const LONGEST: f32 = 400.0;
 /// The same while the view moves.
 const LONGEST_MOVING: f32 = 180.0;
+/// While things move, a graphics driver without a graphics card draws pixels that are so much larger.
+const COARSE: u32 = 2;
 /// Stops by which a key changes the exposure.
 const STEP: f32 = 0.5;
 /// Most stops.
@@ -529,8 +532,14 @@ impl Viewport {
         } else {
             Background::Colour(self.look.background.map(|v| f32::from(v) / 255.0))
         };
+        let moving = scene.dragging || self.navigation.is_moving();
+        let software = state.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
+        let coarse = if moving && software { COARSE } else { 1 };
         let request = FrameRequest {
-            camera: camera.clone(),
+            camera: camera.resized(
+                camera.width.div_ceil(coarse),
+                camera.height.div_ceil(coarse),
+            ),
             mode: match self.look.mode {
                 Mode::Shadow(_) => Mode::Shadow(scene.shadowed),
                 mode => mode,
