@@ -117,7 +117,12 @@ fn merge_pixel(parts: &[Part], i: usize) -> ([f32; 3], bool) {
         }
     }
     if weights[0] == 0.0 {
-        return ([f32::NAN; 3], clipped > 0);
+        // Saturated, or without any finite value; that is told apart by the value.
+        return if clipped > 0 {
+            ([0.0; 3], true)
+        } else {
+            ([f32::NAN; 3], false)
+        };
     }
     let merged = [0, 1, 2].map(|c| (sum[c] / weights[c]) as f32);
     (merged, false)
