@@ -98,13 +98,33 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, CaptureError> 
 /// Reads any image file as linear radiance: width, height and RGB row by row from the top. Values that are not finite
 /// become zero.
 pub fn read_radiance(path: &Path) -> Result<(u32, u32, Vec<[f32; 3]>), CaptureError> {
+    let picture = read_covered(path)?;
+    Ok((picture.width, picture.height, picture.radiance))
+}
+
+/// A picture with the object's coverage of each pixel.
+pub struct Covered {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Linear radiance, RGB, premultiplied by coverage, row by row from the top.
+    pub radiance: Vec<[f32; 3]>,
+    /// Coverage of each pixel; 1 everywhere in a file that doesn't state it.
+    pub coverage: Vec<f32>,
+}
+
+/// Reads any image file as linear radiance and coverage. Values that are not finite become zero.
+pub fn read_covered(path: &Path) -> Result<Covered, CaptureError> {
     let picture = Picture::read(path, "file", &|_| Ok(()))?;
-    let clean = |p: &[f32; 3]| p.map(|v| if v.is_finite() { v } else { 0.0 });
-    Ok((
-        picture.width,
-        picture.height,
-        picture.rgb.iter().map(clean).collect(),
-    ))
+    let finite = |v: f32| if v.is_finite() { v } else { 0.0 };
+    let pixels = picture.rgb.len();
+    Ok(Covered {
+        width: picture.width,
+        height: picture.height,
+        radiance: picture.rgb.iter().map(|p| p.map(finite)).collect(),
+        coverage: picture.alpha.unwrap_or_else(|| vec![1.0; pixels]),
+    })
 }
 
 /// The folder's name, also where the path is `.`.

@@ -19,7 +19,7 @@ mod tests;
 pub use camera::{Camera, Distortion};
 pub use demo::{DEMO, unpack_demo};
 pub use error::CaptureError;
-pub use load::{PixelCounts, read_cameras, read_radiance};
+pub use load::{Covered, PixelCounts, read_cameras, read_covered, read_radiance};
 pub use mesh::{Mesh, SurfacePoint};
 
 use glam::DVec3;
