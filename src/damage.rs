@@ -1,14 +1,14 @@
 //! Repeatable damage to files, for the tests of their readers.
 
+use crate::math::random::{GOLDEN_STEP, scramble};
+
 /// A small generator of repeatable noise (`SplitMix64`).
 pub(crate) struct Random(pub(crate) u64);
 
 impl Random {
     pub(crate) fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0 = self.0.wrapping_add(GOLDEN_STEP);
+        scramble(self.0)
     }
 
     pub(crate) fn below(&mut self, n: usize) -> usize {

@@ -1,6 +1,7 @@
 //! rekindle relights a captured object.
 
 pub mod app;
+pub mod bench;
 pub mod capture;
 pub mod cli;
 #[cfg(test)]
@@ -15,4 +16,5 @@ pub mod render;
 pub mod solution;
 pub mod studio;
 pub mod surface;
+pub mod synth;
 pub mod worker;

@@ -1,6 +1,7 @@
 //! The command line: one file per command. Results go to stdout, progress and warnings to stderr, and every error is
 //! printed here, once.
 
+mod bench;
 mod demo;
 mod gui;
 mod info;
@@ -9,6 +10,7 @@ mod interrupt;
 mod progress;
 mod render;
 mod solve;
+mod synth;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -65,6 +67,14 @@ enum Command {
     Solve(solve::SolveArgs),
     /// Render a solution from other viewpoints and under other light
     Render(render::RenderArgs),
+    /// Make a capture with known truth, to study the estimation with
+    ///
+    /// The folder is like a photographed capture, with the truth beside it: what `rekindle bench` compares with. The
+    /// photographs come from this program's own reference renderer, so that the estimation's model of light is exactly
+    /// the truth's. A good result on such a capture is necessary, not sufficient.
+    Synth(synth::SynthArgs),
+    /// Compare methods on captures with known truth: error against run time
+    Bench(bench::BenchArgs),
     /// Say what is in a capture or a solution, and what is wrong with it
     Info {
         /// Folder of a capture or of a solution
@@ -107,6 +117,8 @@ fn execute(cli: &Cli) -> anyhow::Result<()> {
         Some(Command::Demo) => demo::run(cli.output),
         Some(Command::Solve(args)) => solve::run(args, cli.output),
         Some(Command::Render(args)) => render::run(args, cli.output),
+        Some(Command::Synth(args)) => synth::run(args, cli.output),
+        Some(Command::Bench(args)) => bench::run(args, cli.output),
         Some(Command::Info { path }) => {
             let folder = crate::solution::solution_folder(path);
             if folder.join("solution.json").is_file() {

@@ -71,7 +71,7 @@ pub(super) fn run(args: &RenderArgs, output: OutputArgs) -> anyhow::Result<()> {
 }
 
 /// Fails where no pictures can be written, so that this is known before any work is done.
-fn check_output(folder: &Path) -> anyhow::Result<()> {
+pub(super) fn check_output(folder: &Path) -> anyhow::Result<()> {
     if folder.exists() && !folder.is_dir() {
         bail!("{}: is not a folder; choose another", folder.display());
     }

@@ -43,13 +43,24 @@ pub(super) struct EstimationArgs {
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum MethodArg {
+pub(super) enum MethodArg {
     /// Variable projection with the diffuse colours eliminated
     Fast,
     /// The paper's alternation, lights first: for comparison, slower and less exact
     Amuh,
     /// The paper's alternation, roughness first: for comparison, slower and less exact
     Amhu,
+}
+
+impl MethodArg {
+    /// The estimator's name for it.
+    pub(super) fn method(self) -> Method {
+        match self {
+            Self::Fast => Method::Fast,
+            Self::Amuh => Method::Amuh,
+            Self::Amhu => Method::Amhu,
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -77,11 +88,7 @@ impl EstimationArgs {
     fn options(&self) -> SolveOptions {
         SolveOptions {
             estimate: EstimateParams {
-                method: match self.method {
-                    MethodArg::Fast => Method::Fast,
-                    MethodArg::Amuh => Method::Amuh,
-                    MethodArg::Amhu => Method::Amhu,
-                },
+                method: self.method.method(),
                 specular: match self.specular {
                     SpecularArg::Paper => SpecularChoice::Model(SpecularModel::Paper),
                     SpecularArg::Microfacet => SpecularChoice::Model(SpecularModel::Microfacet),

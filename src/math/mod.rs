@@ -2,6 +2,7 @@
 
 pub mod exp;
 pub mod nnls;
+pub mod random;
 pub mod sparse;
 
 /// Turn between neighbours on a golden spiral, π (3 − √5) radians: points so turned never line up.

@@ -81,19 +81,31 @@ impl LampNodes {
     pub fn disc(direction: Vec3, flux: Vec3, angular_radius: f32, radius: Option<f32>) -> Self {
         /// Nodes in a disc: a lobe sees it as smooth, and its penumbra has as many steps.
         const NODES: usize = 64;
+        Self::disc_of(NODES, direction, flux, angular_radius, radius)
+    }
+
+    /// A uniform disc of light as this many nodes, at least one.
+    pub fn disc_of(
+        count: usize,
+        direction: Vec3,
+        flux: Vec3,
+        angular_radius: f32,
+        radius: Option<f32>,
+    ) -> Self {
+        let count = count.max(1);
         // Equal areas along a golden spiral.
         let (tangent, bitangent) = direction.any_orthonormal_pair();
         let depth = 1.0 - angular_radius.min(std::f32::consts::PI).cos();
-        let solid_angle = (TAU * depth).max(1e-9) / NODES as f32;
-        let nodes = (0..NODES)
+        let solid_angle = (TAU * depth).max(1e-9) / count as f32;
+        let nodes = (0..count)
             .map(|i| {
-                let height = 1.0 - depth * (i as f32 + 0.5) / NODES as f32;
+                let height = 1.0 - depth * (i as f32 + 0.5) / count as f32;
                 let across = (1.0 - height * height).max(0.0).sqrt();
                 let (sin, cos) = (i as f32 * GOLDEN_ANGLE).sin_cos();
                 LightNode {
                     direction: (direction * height + across * (tangent * cos + bitangent * sin))
                         .normalize_or(direction),
-                    radiance: flux / (NODES as f32 * solid_angle),
+                    radiance: flux / (count as f32 * solid_angle),
                     solid_angle,
                 }
             })

@@ -144,16 +144,31 @@ fn word(bytes: &[u8], at: usize) -> [u8; 4] {
         .unwrap_or_default()
 }
 
-/// Writes a Wavefront OBJ file.
-pub fn write_obj(path: &Path, mesh: &Mesh, corner_uvs: &[[Vec2; 3]]) -> io::Result<()> {
-    let mut text = String::from("# written by rekindle; texture diffuse.exr\n");
-    // Writing into a string can't fail.
+/// Positions and normals as lines of a Wavefront OBJ file; writing into a string can't fail.
+fn obj_vertices(text: &mut String, mesh: &Mesh) {
     for p in &mesh.positions {
         let _ = writeln!(text, "v {} {} {}", p.x, p.y, p.z);
     }
     for n in &mesh.normals {
         let _ = writeln!(text, "vn {} {} {}", n.x, n.y, n.z);
     }
+}
+
+/// Writes a Wavefront OBJ file without texture coordinates.
+pub fn write_plain_obj(path: &Path, mesh: &Mesh) -> io::Result<()> {
+    let mut text = String::from("# written by rekindle\n");
+    obj_vertices(&mut text, mesh);
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|i| i + 1);
+        let _ = writeln!(text, "f {a}//{a} {b}//{b} {c}//{c}");
+    }
+    fs::write(path, text)
+}
+
+/// Writes a Wavefront OBJ file.
+pub fn write_obj(path: &Path, mesh: &Mesh, corner_uvs: &[[Vec2; 3]]) -> io::Result<()> {
+    let mut text = String::from("# written by rekindle; texture diffuse.exr\n");
+    obj_vertices(&mut text, mesh);
     for uv in corner_uvs.iter().flatten() {
         let _ = writeln!(text, "vt {} {}", uv.x, uv.y);
     }

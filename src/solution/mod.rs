@@ -19,6 +19,7 @@ mod staging;
 pub use error::SolutionError;
 pub use exr_file::{write_rgb, write_rgba};
 pub use format::Fit;
+pub use mesh_file::write_plain_obj;
 pub use solve::{SolveOptions, solve};
 pub use staging::{Staging, abandon_unfinished};
 

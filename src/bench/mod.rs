@@ -1,0 +1,96 @@
+//! How near do methods come to the truth, and how fast?
+//!
+//! [`run`] solves captures with known truth by several methods, in turn, and [`Report`] writes what came of it: a row for
+//! every iteration, a row for every solve, tables and plots. The measures are those of `evaluate.py`, which comes with the
+//! path-traced captures. Nothing but this room reads `truth/`.
+
+mod error;
+mod measures;
+mod memory;
+mod plot;
+mod record;
+mod report;
+mod truth;
+mod views;
+
+pub use error::BenchError;
+pub use measures::{Errors, FoundLamp, Measures, hemisphere_error, lamp_errors};
+pub use record::{Run, Step};
+pub use report::Report;
+pub use truth::{RelitCase, TrueLamp, Truth};
+pub use views::ViewErrors;
+
+use std::path::PathBuf;
+
+use crate::capture::Capture;
+use crate::estimate::{EstimateParams, Method};
+use crate::solution::SolveOptions;
+
+/// What is to be compared.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// Folders of captures with known truth.
+    pub captures: Vec<PathBuf>,
+    /// At least one; ratios are to the first.
+    pub methods: Vec<Method>,
+    /// How often each is run; the methods take turns.
+    pub rounds: u32,
+    /// Frequency of the geodesic hemisphere.
+    pub frequency: u32,
+}
+
+/// Asks and tells whoever wants a comparison.
+pub trait Audience: Send {
+    /// Which capture and method is worked on, and which part of the whole is done.
+    fn stage(&mut self, what: &str, fraction: f32);
+    /// Whether to break off.
+    fn stop(&self) -> bool;
+}
+
+/// Runs a comparison.
+pub fn run(plan: &Plan, audience: &mut dyn Audience) -> Result<Report, BenchError> {
+    // A capture that can't be judged is found before anything is solved.
+    let truths = plan
+        .captures
+        .iter()
+        .map(|folder| Truth::load(folder))
+        .collect::<Result<Vec<Truth>, BenchError>>()?;
+    let all = plan.captures.len() * plan.methods.len() * plan.rounds as usize;
+    let mut runs: Vec<Run> = Vec::with_capacity(all);
+    for (folder, truth) in plan.captures.iter().zip(&truths) {
+        for round in 1..=plan.rounds {
+            for &method in &plan.methods {
+                let capture = load(folder)?;
+                let what = format!("{}: {}", capture.0.name, name(method));
+                audience.stage(&what, runs.len() as f32 / all as f32);
+                let options = SolveOptions {
+                    estimate: EstimateParams {
+                        method,
+                        ..EstimateParams::default()
+                    },
+                    frequency: plan.frequency,
+                    radius: None,
+                };
+                runs.push(record::record(capture, truth, &options, round, audience)?);
+            }
+        }
+    }
+    Ok(Report { runs })
+}
+
+/// What a method is called in files.
+pub(crate) fn name(method: Method) -> &'static str {
+    match method {
+        Method::Fast => "fast",
+        Method::Amuh => "amuh",
+        Method::Amhu => "amhu",
+    }
+}
+
+/// A capture and how many seconds it took to read.
+fn load(folder: &std::path::Path) -> Result<(Capture, f64), BenchError> {
+    memory::forget_peak();
+    let started = std::time::Instant::now();
+    let capture = Capture::load(folder)?;
+    Ok((capture, started.elapsed().as_secs_f64()))
+}

@@ -1,0 +1,83 @@
+//! `rekindle bench`: error against run time.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+
+use super::interrupt::{self, Interrupted};
+use super::progress::Progress;
+use super::render::{cannot_write, check_output};
+use super::solve::MethodArg;
+use super::{OutputArgs, print_json, print_line};
+use crate::bench::{Audience, BenchError, Plan, run as compare};
+use crate::solution::Staging;
+
+/// Arguments of `rekindle bench`.
+#[derive(clap::Args)]
+pub(super) struct BenchArgs {
+    /// Folders of captures with known truth, such as `rekindle synth` makes
+    #[arg(required = true, value_name = "CAPTURE")]
+    captures: Vec<PathBuf>,
+    /// Folder for tables and plots
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Methods to compare, separated by commas; ratios are to the first
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        default_value = "fast,amuh,amhu"
+    )]
+    methods: Vec<MethodArg>,
+    /// How often each is run, by turns; ratios are medians
+    #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    rounds: u32,
+    /// Parts into which each edge of the lights' icosahedron is divided
+    #[arg(long, default_value_t = 70, value_parser = clap::value_parser!(u32).range(1..=200))]
+    frequency: u32,
+}
+
+impl Audience for Progress {
+    fn stage(&mut self, what: &str, fraction: f32) {
+        Self::stage(self, what, fraction);
+    }
+
+    fn stop(&self) -> bool {
+        interrupt::asked()
+    }
+}
+
+pub(super) fn run(args: &BenchArgs, output: OutputArgs) -> anyhow::Result<()> {
+    check_output(&args.output)?;
+    let mut methods: Vec<_> = Vec::new();
+    for method in args.methods.iter().map(|method| method.method()) {
+        if !methods.contains(&method) {
+            methods.push(method);
+        }
+    }
+    let plan = Plan {
+        captures: args.captures.clone(),
+        methods,
+        rounds: args.rounds,
+        frequency: args.frequency,
+    };
+    let mut progress = Progress::new(output);
+    let report = match compare(&plan, &mut progress) {
+        Err(BenchError::Stopped) => return Err(Interrupted.into()),
+        other => other?,
+    };
+    interrupt::check()?;
+    let staging = Staging::beside(&args.output).with_context(|| cannot_write(&args.output))?;
+    let files = report
+        .write(staging.path())
+        .with_context(|| cannot_write(&args.output))?;
+    staging.add().with_context(|| cannot_write(&args.output))?;
+    progress.finish();
+    if output.json {
+        let files: Vec<_> = files.iter().map(|file| args.output.join(file)).collect();
+        print_json(&serde_json::json!({ "files": files }));
+    } else if !output.quiet {
+        print_line(&format!("{}: {}", args.output.display(), files.join(", ")));
+    }
+    Ok(())
+}

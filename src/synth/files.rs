@@ -1,0 +1,220 @@
+//! The files of a made capture: photographs, their parts, and the manifests that say from where they were taken.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use glam::Vec3;
+use rayon::prelude::*;
+use serde_json::{Value, json};
+
+use super::recipe::Files;
+use super::sensor::Exposed;
+use crate::capture::Camera;
+use crate::math::random::Random;
+use crate::relight::{Picture, srgb};
+use crate::solution::write_rgba;
+
+/// Exposures of a bracket are this factor apart.
+const BRACKET_STEP: f64 = 4.0;
+
+/// A folder with a `transforms.json` and pictures.
+pub(super) struct Folder {
+    path: PathBuf,
+    /// How far below the capture's folder it is.
+    depth: usize,
+    light_distance: Option<f32>,
+}
+
+/// How one view is stated: all of its frame but the camera.
+pub(super) struct Frame(Value);
+
+impl Folder {
+    pub(super) fn new(path: &Path, depth: usize, light_distance: Option<f32>) -> Self {
+        Self {
+            path: path.to_owned(),
+            depth,
+            light_distance,
+        }
+    }
+
+    /// Pictures without noise, with their manifest.
+    pub(super) fn write_clean(&self, cameras: &[Camera], pictures: &[Picture]) -> io::Result<()> {
+        fs::create_dir_all(self.path.join("images"))?;
+        let frames = pictures.par_iter().enumerate().map(|(i, picture)| {
+            let name = format!("images/view_{i:03}.exr");
+            let (path, width) = (self.path.join(&name), picture.width);
+            write_rgba(&path, width, &sum(picture), &picture.coverage)?;
+            Ok(Frame(json!({ "file_path": name })))
+        });
+        let frames = frames.collect::<io::Result<Vec<Frame>>>()?;
+        self.write_manifest(cameras, frames)
+    }
+
+    /// The diffuse and the specular part of pictures, and where they were really taken from.
+    pub(super) fn write_split(&self, cameras: &[Camera], pictures: &[Picture]) -> io::Result<()> {
+        for part in ["diffuse", "specular"] {
+            fs::create_dir_all(self.path.join(part))?;
+        }
+        pictures
+            .par_iter()
+            .enumerate()
+            .try_for_each(|(i, picture)| {
+                for (part, values) in [
+                    ("diffuse", &picture.diffuse),
+                    ("specular", &picture.specular),
+                ] {
+                    let path = self.path.join(part).join(format!("view_{i:03}.exr"));
+                    write_rgba(&path, picture.width, values, &picture.coverage)?;
+                }
+                Ok::<(), io::Error>(())
+            })?;
+        let frame = |i| Frame(json!({ "file_path": format!("diffuse/view_{i:03}.exr") }));
+        self.write_manifest(cameras, (0..pictures.len()).map(frame).collect())
+    }
+
+    /// `transforms.json`, one frame a camera.
+    pub(super) fn write_manifest(&self, cameras: &[Camera], frames: Vec<Frame>) -> io::Result<()> {
+        let Some(first) = cameras.first() else {
+            return Ok(());
+        };
+        let frames: Vec<Value> = cameras
+            .iter()
+            .zip(frames)
+            .map(|(camera, Frame(mut frame))| {
+                frame["transform_matrix"] = matrix(camera);
+                frame
+            })
+            .collect();
+        let manifest = json!({
+            "camera_model": "PINHOLE",
+            "w": first.width,
+            "h": first.height,
+            "fl_x": first.focal.x,
+            "fl_y": first.focal.y,
+            "cx": first.centre.x,
+            "cy": first.centre.y,
+            "mesh_path": format!("{}mesh.obj", "../".repeat(self.depth)),
+            "light_hemisphere": { "up": [0, 1, 0], "radius": self.light_distance },
+            "frames": frames,
+        });
+        write_json(&self.path.join("transforms.json"), &manifest)
+    }
+}
+
+/// Writes the photographs that a sensor takes of pictures.
+pub(super) fn photographs(
+    folder: &Folder,
+    files: Files,
+    exposed: &Exposed,
+    pictures: &[Picture],
+    times: Random,
+) -> io::Result<Vec<Frame>> {
+    fs::create_dir_all(folder.path.join("images"))?;
+    let read: Vec<Vec<[f32; 3]>> = pictures
+        .par_iter()
+        .enumerate()
+        .map(|(i, picture)| exposed.read(i, picture))
+        .collect();
+    // The shortest of a bracket's exposures has the brightest pixel at full scale, or the sensor's.
+    let brightest = read
+        .iter()
+        .flatten()
+        .flatten()
+        .fold(0.0_f32, |m, &v| m.max(v));
+    let full_scale = f64::from(exposed.full_scale.min(brightest).max(f32::MIN_POSITIVE));
+    (0..pictures.len())
+        .into_par_iter()
+        .map(|i| {
+            let (picture, read) = (&pictures[i], &read[i]);
+            match files {
+                Files::Exr => exposure(folder, i, picture, read, None),
+                Files::Exposures(stops) => {
+                    let time = (f64::from(stops) * (times.uniform(i as u64) - 0.5)).exp2();
+                    exposure(folder, i, picture, read, Some(time))
+                }
+                Files::Brackets(count) => bracket(folder, i, picture, read, count, full_scale),
+            }
+        })
+        .collect()
+}
+
+/// One EXR file, in units of its exposure time where that is stated.
+fn exposure(
+    folder: &Folder,
+    view: usize,
+    picture: &Picture,
+    read: &[[f32; 3]],
+    time: Option<f64>,
+) -> io::Result<Frame> {
+    let name = format!("images/view_{view:03}.exr");
+    let factor = time.unwrap_or(1.0) as f32;
+    let values: Vec<[f32; 3]> = read.iter().map(|p| p.map(|v| v * factor)).collect();
+    write_rgba(
+        &folder.path.join(&name),
+        picture.width,
+        &values,
+        &picture.coverage,
+    )?;
+    Ok(Frame(match time {
+        None => json!({ "file_path": name }),
+        Some(time) => {
+            json!({ "exposures": [{ "file_path": name, "exposure_time": time }] })
+        }
+    }))
+}
+
+/// 8-bit PNG files of growing exposure times.
+fn bracket(
+    folder: &Folder,
+    view: usize,
+    picture: &Picture,
+    read: &[[f32; 3]],
+    count: u32,
+    full_scale: f64,
+) -> io::Result<Frame> {
+    let exposures = (0..count).map(|k| {
+        let time = BRACKET_STEP.powi(k as i32) / full_scale;
+        let name = format!("images/view_{view:03}_{k}.png");
+        let mut bytes = Vec::with_capacity(4 * read.len());
+        for (pixel, coverage) in read.iter().zip(&picture.coverage) {
+            // Alpha is straight in PNG files.
+            let straight = Vec3::from(*pixel) * (time as f32) / coverage.max(f32::MIN_POSITIVE);
+            let code = |v: f32| (255.0 * v).round() as u8;
+            bytes.extend(srgb(straight).to_array().map(code));
+            bytes.push(code(*coverage));
+        }
+        let path = folder.path.join(&name);
+        let (width, height) = (picture.width, picture.height);
+        image::save_buffer(path, &bytes, width, height, image::ColorType::Rgba8)
+            .map_err(io::Error::other)?;
+        Ok(json!({ "file_path": name, "exposure_time": time }))
+    });
+    let exposures = exposures.collect::<io::Result<Vec<Value>>>()?;
+    Ok(Frame(json!({ "exposures": exposures })))
+}
+
+/// Radiance of every pixel.
+fn sum(picture: &Picture) -> Vec<[f32; 3]> {
+    let parts = picture.diffuse.iter().zip(&picture.specular);
+    parts
+        .map(|(&d, &s)| (Vec3::from(d) + Vec3::from(s)).to_array())
+        .collect()
+}
+
+/// Camera-to-world matrix, row by row.
+fn matrix(camera: &Camera) -> Value {
+    let pose = camera.world_from_camera;
+    let mut rows: Vec<[f64; 4]> = (0..3)
+        .map(|i| {
+            let row = pose.matrix3.row(i);
+            [row.x, row.y, row.z, pose.translation[i]]
+        })
+        .collect();
+    rows.push([0.0, 0.0, 0.0, 1.0]);
+    json!(rows)
+}
+
+pub(super) fn write_json(path: &Path, value: &Value) -> io::Result<()> {
+    fs::write(path, serde_json::to_vec_pretty(value)?)
+}

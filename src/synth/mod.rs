@@ -1,0 +1,263 @@
+//! What would a capture with known truth look like? Makes captures to study the estimator with.
+//!
+//! [`make`] writes a folder like a photographed capture, with a folder `truth` beside the photographs that holds what an
+//! estimate should find: `truth.json`, `environment.exr`, the photographs' diffuse and specular parts, and pictures from
+//! new viewpoints and under new light. The pictures come from this program's own reference renderer, so the estimate's
+//! model of light is exactly the truth's: a good result on them is necessary, and not sufficient.
+
+mod cameras;
+mod environment;
+mod error;
+mod files;
+mod lamps;
+mod mesh_errors;
+mod object;
+mod recipe;
+mod scene;
+mod sensor;
+mod tessellate;
+#[cfg(test)]
+mod tests;
+mod texture;
+mod truth;
+
+pub use error::SynthError;
+pub use object::Object;
+pub use recipe::{
+    Files, GeometryErrors, Lamps, Light, Material, Normals, Places, Recipe, Sensor, Views,
+};
+
+use std::fs;
+use std::io;
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use crate::capture::Camera;
+use crate::math::random::Random;
+use crate::relight::{Lighting, Picture};
+use crate::solution::{Staging, write_plain_obj, write_rgb};
+use cameras::{Stand, misaligned};
+use files::{Folder, photographs};
+use lamps::TrueLamp;
+use mesh_errors::stated_mesh;
+use scene::{TrueLight, TrueSurface};
+use sensor::Exposed;
+
+/// Input views from which pictures under new light are taken, at most.
+const RELIT_VIEWS: usize = 3;
+/// Near lamps are at least this many radii of the object away from its centre.
+const NEAREST_LAMP: f32 = 1.3;
+
+/// What a seed's numbers are for.
+#[derive(Clone, Copy)]
+enum Purpose {
+    Texture,
+    Lamps,
+    Cameras,
+    Rotations,
+    Mesh,
+    Sensor,
+    Times,
+}
+
+/// Hears what is done and which part of the whole is done, and may stop it.
+pub type Progress<'a> = &'a mut dyn FnMut(&str, f32) -> ControlFlow<()>;
+
+/// Makes a capture and writes it to a folder, which appears whole or not at all. One that is there already is replaced.
+pub fn make(recipe: &Recipe, folder: &Path, progress: Progress) -> Result<(), SynthError> {
+    check_destination(folder)?;
+    let write = |source: io::Error| SynthError::Write {
+        path: folder.to_owned(),
+        source,
+    };
+    let staging = Staging::beside(folder).map_err(write)?;
+    let name = folder.file_name().unwrap_or_default().to_string_lossy();
+    Maker::new(recipe, progress)?.write(&name, staging.path(), folder)?;
+    staging.replace().map_err(write)
+}
+
+/// Refuses to replace anything but an earlier made capture.
+fn check_destination(folder: &Path) -> Result<(), SynthError> {
+    let there = folder.exists() && !folder.join("truth/truth.json").is_file();
+    let empty = || fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
+    if there && !empty() {
+        return Err(SynthError::Occupied {
+            path: folder.to_owned(),
+        });
+    }
+    Ok(())
+}
+
+/// A recipe on its way to a capture.
+struct Maker<'a> {
+    recipe: &'a Recipe,
+    surface: TrueSurface,
+    light: TrueLight,
+    stand: Stand,
+    cameras: Vec<Camera>,
+    progress: Counted<'a>,
+}
+
+/// Progress by the number of pictures.
+struct Counted<'a> {
+    progress: Progress<'a>,
+    done: usize,
+    all: usize,
+}
+
+impl Counted<'_> {
+    fn picture(&mut self, what: &str) -> Result<(), SynthError> {
+        let part = 0.05 + 0.95 * self.done as f32 / self.all.max(1) as f32;
+        self.done += 1;
+        match (self.progress)(what, part) {
+            ControlFlow::Continue(()) => Ok(()),
+            ControlFlow::Break(()) => Err(SynthError::Stopped),
+        }
+    }
+}
+
+fn random(recipe: &Recipe, purpose: Purpose) -> Random {
+    Random::new(recipe.seed, purpose as u64)
+}
+
+impl<'a> Maker<'a> {
+    fn new(recipe: &'a Recipe, progress: Progress<'a>) -> Result<Self, SynthError> {
+        if progress("shaping the object", 0.0).is_break() {
+            return Err(SynthError::Stopped);
+        }
+        let mesh = TrueSurface::mesh_of(recipe);
+        let stand = Stand::new(&mesh, recipe.views);
+        let light =
+            TrueLight::new(recipe, random(recipe, Purpose::Lamps)).map_err(SynthError::Probe)?;
+        let least = NEAREST_LAMP * stand.object_radius() as f32;
+        if let Some(distance) = light.lamps().first().and_then(|lamp| lamp.distance)
+            && distance < least
+        {
+            return Err(SynthError::LampTooNear { distance, least });
+        }
+        let magnification = stand.largest_magnification();
+        let texture = random(recipe, Purpose::Texture);
+        let surface = TrueSurface::new(recipe, mesh, magnification, texture);
+        let cameras = stand.input(random(recipe, Purpose::Cameras));
+        let lamps = light.lamps().len();
+        let relit = if lamps > 0 { lamps + 1 } else { 0 };
+        let all = cameras.len() + stand.novel().len() + relit * RELIT_VIEWS.min(cameras.len());
+        Ok(Self {
+            recipe,
+            surface,
+            light,
+            stand,
+            cameras,
+            progress: Counted {
+                progress,
+                done: 0,
+                all,
+            },
+        })
+    }
+
+    /// Writes everything to `into`; messages name `folder`.
+    fn write(mut self, name: &str, into: &Path, folder: &Path) -> Result<(), SynthError> {
+        let write = |source: io::Error| SynthError::Write {
+            path: folder.to_owned(),
+            source,
+        };
+        let lighting = match &self.light {
+            TrueLight::Lamps(lamps) => self.surface.lamps(lamps),
+            TrueLight::Probe(probe) => self.surface.probe(probe, self.recipe.views.scale),
+        };
+        let pictures = self.take("photographing", &lighting, &self.cameras.clone())?;
+        self.write_input(name, into, &pictures).map_err(write)?;
+        drop(pictures);
+        let novel = self.stand.novel();
+        let seen = self.take("taking novel views", &lighting, &novel)?;
+        let truth = into.join("truth");
+        let near = self.light_distance();
+        let set = |folder: &Path, cameras: &[Camera], pictures: &[Picture], up: usize| {
+            Folder::new(folder, up, near).write_clean(cameras, pictures)
+        };
+        set(&truth.join("novel"), &novel, &seen, 2).map_err(write)?;
+        let relit = self.relit_cameras();
+        for (folder, lamps) in self.new_lights() {
+            let lighting = self.surface.lamps(&lamps);
+            let seen = self.take("relighting", &lighting, &relit)?;
+            set(&truth.join("relit").join(folder), &relit, &seen, 3).map_err(write)?;
+        }
+        if let Some(lamp) = self.light.lamps().first() {
+            let path = truth.join("relit/moved/edit.json");
+            files::write_json(&path, &truth::edit(lamp)).map_err(write)?;
+        }
+        Ok(())
+    }
+
+    fn take(
+        &mut self,
+        what: &str,
+        lighting: &Lighting,
+        cameras: &[Camera],
+    ) -> Result<Vec<Picture>, SynthError> {
+        let progress = &mut self.progress;
+        self.surface
+            .photographs(lighting, cameras, &mut |_| progress.picture(what))
+    }
+
+    /// The capture itself, and what of the truth belongs to its views.
+    fn write_input(&self, name: &str, into: &Path, pictures: &[Picture]) -> io::Result<()> {
+        let recipe = self.recipe;
+        let mesh_random = random(recipe, Purpose::Mesh);
+        let true_mesh = &self.surface.mesh;
+        let stated = stated_mesh(recipe.object, true_mesh, &recipe.errors, mesh_random);
+        write_plain_obj(&into.join("mesh.obj"), stated.as_ref().unwrap_or(true_mesh))?;
+        let exposed = Exposed::new(recipe.sensor, pictures, random(recipe, Purpose::Sensor));
+        let rotations = random(recipe, Purpose::Rotations);
+        let turned: Vec<Camera> = self
+            .cameras
+            .iter()
+            .enumerate()
+            .map(|(i, camera)| misaligned(camera, recipe.errors.rotation, rotations.of(i as u64)))
+            .collect();
+        let times = random(recipe, Purpose::Times);
+        let folder = Folder::new(into, 0, self.light_distance());
+        let frames = photographs(&folder, recipe.sensor.files, &exposed, pictures, times)?;
+        folder.write_manifest(&turned, frames)?;
+
+        let truth = into.join("truth");
+        fs::create_dir_all(&truth)?;
+        if stated.is_some() {
+            write_plain_obj(&truth.join("mesh.obj"), true_mesh)?;
+        }
+        Folder::new(&truth, 1, self.light_distance()).write_split(&self.cameras, pictures)?;
+        let (width, environment) = environment::picture(&self.light, recipe.views.scale);
+        write_rgb(&truth.join("environment.exr"), width, &environment)?;
+        let centre = true_mesh.centre();
+        let described = truth::describe(name, recipe, self.light.lamps(), centre);
+        files::write_json(&truth.join("truth.json"), &described)
+    }
+
+    fn light_distance(&self) -> Option<f32> {
+        self.light.lamps().first().and_then(|lamp| lamp.distance)
+    }
+
+    /// Views for pictures under new light: spread over the input views.
+    fn relit_cameras(&self) -> Vec<Camera> {
+        let count = RELIT_VIEWS.min(self.cameras.len());
+        (0..count)
+            .map(|k| self.cameras[k * self.cameras.len() / count].clone())
+            .collect()
+    }
+
+    /// Every lamp alone, and all with the first one moved, by the names of their folders.
+    fn new_lights(&self) -> Vec<(String, Vec<TrueLamp>)> {
+        let lamps = self.light.lamps();
+        let mut lights: Vec<(String, Vec<TrueLamp>)> = lamps
+            .iter()
+            .enumerate()
+            .map(|(i, lamp)| (format!("light_{i}"), vec![*lamp]))
+            .collect();
+        if let Some((first, others)) = lamps.split_first() {
+            let moved = std::iter::once(first.moved()).chain(others.iter().copied());
+            lights.push(("moved".to_owned(), moved.collect()));
+        }
+        lights
+    }
+}

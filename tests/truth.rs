@@ -1,0 +1,169 @@
+//! What `rekindle synth` and `rekindle bench` promise on the command line.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn rekindle(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rekindle"))
+        .args(arguments)
+        .output()
+        .expect("the program starts")
+}
+
+/// Fails unless the program refuses with status 2 and one line, which is returned.
+fn refused(arguments: &[&str]) -> String {
+    let run = rekindle(arguments);
+    let message = String::from_utf8_lossy(&run.stderr).into_owned();
+    assert_eq!(run.status.code(), Some(2), "{message}");
+    message
+}
+
+fn capture() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures/spot_paper")
+}
+
+fn lines(path: &Path) -> Vec<Vec<String>> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let row = |line: &str| line.split(',').map(str::to_owned).collect();
+    text.lines().map(row).collect()
+}
+
+#[test]
+fn a_bench_has_a_row_for_every_iteration_and_the_errors_of_the_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let (source, into) = (capture(), folder.path().join("bench"));
+    let run = rekindle(&[
+        "bench",
+        source.to_str().unwrap(),
+        "-o",
+        into.to_str().unwrap(),
+        "--methods",
+        "fast",
+        "--rounds",
+        "2",
+        "--frequency",
+        "30",
+        "--quiet",
+    ]);
+    assert!(
+        run.status.success(),
+        "{}",
+        String::from_utf8_lossy(&run.stderr)
+    );
+    let runs = lines(&into.join("runs.csv"));
+    let iterations = lines(&into.join("iterations.csv"));
+    assert_eq!(runs.len(), 3, "a head and two rounds");
+    let column = |name: &str| runs[0].iter().position(|n| n == name).unwrap();
+    let value = |name: &str| runs[1][column(name)].parse::<f64>().unwrap();
+    assert!(value("sigma_error_pct").abs() < 1.0);
+    assert!(value("direction_error_deg") < 0.3);
+    assert!(value("flux_error_pct") < 3.0);
+    assert!(value("novel_psnr_db") > 40.0 && value("alone_psnr_db") > 35.0);
+    assert!(value("solve_s") > 0.0);
+    let first: Vec<_> = iterations[1..].iter().filter(|row| row[2] == "1").collect();
+    for (i, row) in first.iter().enumerate() {
+        assert_eq!(row[3], (i + 1).to_string(), "iterations are counted");
+        assert_eq!(row.len(), iterations[0].len());
+    }
+    let elapsed: Vec<f64> = first.iter().map(|row| row[4].parse().unwrap()).collect();
+    assert!(elapsed.len() > 3 && elapsed.is_sorted(), "{elapsed:?}");
+    let text = std::fs::read_to_string(into.join("bench.md")).unwrap();
+    assert!(text.contains("spot_paper.svg"), "{text}");
+    let plot = std::fs::read_to_string(into.join("spot_paper.svg")).unwrap();
+    assert!(plot.contains("<svg") && plot.contains("fast"));
+}
+
+#[test]
+fn a_capture_without_truth_is_refused_before_any_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let (source, into) = (capture(), folder.path().join("bench"));
+    let without = source.with_file_name("spot_decimated");
+    let message = refused(&[
+        "bench",
+        source.to_str().unwrap(),
+        without.to_str().unwrap(),
+        "-o",
+        into.to_str().unwrap(),
+        "--quiet",
+    ]);
+    assert!(
+        message.contains("spot_decimated") && message.contains("truth.json"),
+        "{message}"
+    );
+    assert_eq!(message.trim().lines().count(), 1, "{message}");
+    assert!(!into.exists(), "nothing may be written");
+}
+
+#[test]
+fn wishes_that_contradict_each_other_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let into = folder.path().join("made");
+    let into = into.to_str().unwrap();
+    for (arguments, named) in [
+        (&["--ior", "1.4"][..], "--ior"),
+        (&["--model", "microfacet", "--ks", "1"][..], "--ks"),
+        (&["--interreflection"][..], "--interreflection"),
+        (&["--size", "640"][..], "640x480"),
+        (&["--lamp", "10,95"][..], "elevation"),
+        (&["--samples", "20"][..], "144"),
+        (&["--lamps", "13"][..], "12"),
+    ] {
+        let message = refused(&[&["synth", "-o", into], arguments].concat());
+        assert!(message.contains(named), "{message}");
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    let help = rekindle(&["synth", "--help"]);
+    let help = String::from_utf8_lossy(&help.stdout).into_owned();
+    assert!(help.contains("necessary, not sufficient"), "{help}");
+}
+
+#[test]
+fn a_made_capture_is_solved_and_benched_as_any_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let made = rekindle(&[
+        "synth",
+        "-o",
+        &path("made"),
+        "--object",
+        "sphere",
+        "--triangles",
+        "4000",
+        "--size",
+        "96x72",
+        "--samples",
+        "16",
+        "--lamp",
+        "-30,50",
+        "--lamp",
+        "40,35",
+        "--noise",
+        "1",
+        "--quiet",
+        "--json",
+    ]);
+    assert!(
+        made.status.success(),
+        "{}",
+        String::from_utf8_lossy(&made.stderr)
+    );
+    assert!(String::from_utf8_lossy(&made.stdout).contains("\"views\":6"));
+    let bench = rekindle(&[
+        "bench",
+        &path("made"),
+        "-o",
+        &path("bench"),
+        "--methods",
+        "fast",
+        "--frequency",
+        "20",
+    ]);
+    assert!(
+        bench.status.success(),
+        "{}",
+        String::from_utf8_lossy(&bench.stderr)
+    );
+    assert_eq!(lines(&folder.path().join("bench/runs.csv")).len(), 2);
+}
