@@ -29,6 +29,9 @@ pub(super) struct SynthArgs {
     views: ViewArgs,
     #[command(flatten)]
     faults: FaultArgs,
+    /// Leave out the truth's pictures from elsewhere and under new light, which take most of the time
+    #[arg(long)]
+    no_pictures: bool,
     /// Decides everything random: the same seed makes the same files
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -305,6 +308,7 @@ impl SynthArgs {
                 },
                 normal_noise: self.faults.normal_noise.to_radians(),
             },
+            truth_pictures: !self.no_pictures,
             seed: self.seed,
         })
     }

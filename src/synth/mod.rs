@@ -66,14 +66,18 @@ pub type Progress<'a> = &'a mut dyn FnMut(&str, f32) -> ControlFlow<()>;
 /// Makes a capture and writes it to a folder, which appears whole or not at all. One that is there already is replaced.
 pub fn make(recipe: &Recipe, folder: &Path, progress: Progress) -> Result<(), SynthError> {
     check_destination(folder)?;
-    let write = |source: io::Error| SynthError::Write {
-        path: folder.to_owned(),
-        source,
-    };
-    let staging = Staging::beside(folder).map_err(write)?;
+    let staging = Staging::beside(folder).map_err(cannot_write(folder))?;
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
     Maker::new(recipe, progress)?.write(&name, staging.path(), folder)?;
-    staging.replace().map_err(write)
+    staging.replace().map_err(cannot_write(folder))
+}
+
+/// What a failure to write becomes.
+fn cannot_write(folder: &Path) -> impl Fn(io::Error) -> SynthError {
+    |source| SynthError::Write {
+        path: folder.to_owned(),
+        source,
+    }
 }
 
 /// Refuses to replace anything but an earlier made capture.
@@ -141,7 +145,8 @@ impl<'a> Maker<'a> {
         let cameras = stand.input(random(recipe, Purpose::Cameras));
         let lamps = light.lamps().len();
         let relit = if lamps > 0 { lamps + 1 } else { 0 };
-        let all = cameras.len() + stand.novel().len() + relit * RELIT_VIEWS.min(cameras.len());
+        let more = stand.novel().len() + relit * RELIT_VIEWS.min(cameras.len());
+        let all = cameras.len() + if recipe.truth_pictures { more } else { 0 };
         Ok(Self {
             recipe,
             surface,
@@ -158,34 +163,45 @@ impl<'a> Maker<'a> {
 
     /// Writes everything to `into`; messages name `folder`.
     fn write(mut self, name: &str, into: &Path, folder: &Path) -> Result<(), SynthError> {
-        let write = |source: io::Error| SynthError::Write {
-            path: folder.to_owned(),
-            source,
-        };
         let lighting = match &self.light {
             TrueLight::Lamps(lamps) => self.surface.lamps(lamps),
             TrueLight::Probe(probe) => self.surface.probe(probe, self.recipe.views.scale),
         };
         let pictures = self.take("photographing", &lighting, &self.cameras.clone())?;
-        self.write_input(name, into, &pictures).map_err(write)?;
+        self.write_input(name, into, &pictures)
+            .map_err(cannot_write(folder))?;
         drop(pictures);
-        let novel = self.stand.novel();
-        let seen = self.take("taking novel views", &lighting, &novel)?;
-        let truth = into.join("truth");
+        if self.recipe.truth_pictures {
+            self.write_pictures(&lighting, &into.join("truth"), folder)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the pictures from elsewhere and under new light.
+    fn write_pictures(
+        &mut self,
+        lighting: &Lighting,
+        truth: &Path,
+        folder: &Path,
+    ) -> Result<(), SynthError> {
         let near = self.light_distance();
-        let set = |folder: &Path, cameras: &[Camera], pictures: &[Picture], up: usize| {
-            Folder::new(folder, up, near).write_clean(cameras, pictures)
+        let set = |path: &Path, cameras: &[Camera], pictures: &[Picture], depth: usize| {
+            Folder::new(path, depth, near)
+                .write_clean(cameras, pictures)
+                .map_err(cannot_write(folder))
         };
-        set(&truth.join("novel"), &novel, &seen, 2).map_err(write)?;
+        let novel = self.stand.novel();
+        let seen = self.take("taking novel views", lighting, &novel)?;
+        set(&truth.join("novel"), &novel, &seen, 2)?;
         let relit = self.relit_cameras();
-        for (folder, lamps) in self.new_lights() {
+        for (light, lamps) in self.new_lights() {
             let lighting = self.surface.lamps(&lamps);
             let seen = self.take("relighting", &lighting, &relit)?;
-            set(&truth.join("relit").join(folder), &relit, &seen, 3).map_err(write)?;
+            set(&truth.join("relit").join(light), &relit, &seen, 3)?;
         }
         if let Some(lamp) = self.light.lamps().first() {
             let path = truth.join("relit/moved/edit.json");
-            files::write_json(&path, &truth::edit(lamp)).map_err(write)?;
+            files::write_json(&path, &truth::edit(lamp)).map_err(cannot_write(folder))?;
         }
         Ok(())
     }

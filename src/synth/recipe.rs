@@ -26,6 +26,8 @@ pub struct Recipe {
     pub sensor: Sensor,
     /// What is wrong with the geometry that the capture states.
     pub errors: GeometryErrors,
+    /// Whether the truth has pictures from elsewhere and under new light, which take most of the time.
+    pub truth_pictures: bool,
     /// Decides everything that is random.
     pub seed: u64,
 }
@@ -203,6 +205,7 @@ impl Default for Recipe {
                 normals: Normals::Exact,
                 normal_noise: 0.0,
             },
+            truth_pictures: true,
             seed: 1,
         }
     }

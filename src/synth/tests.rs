@@ -20,6 +20,7 @@ fn small() -> Recipe {
     let mut recipe = Recipe {
         object: Object::Sphere,
         triangles: 3000,
+        truth_pictures: false,
         ..Recipe::default()
     };
     recipe.views.count = 3;
@@ -68,7 +69,10 @@ fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
 
 #[test]
 fn a_sound_capture_has_nothing_to_warn_of_and_its_truth_beside_it() {
-    let folder = made(|recipe| recipe.views.count = 6);
+    let folder = made(|recipe| {
+        recipe.views.count = 6;
+        recipe.truth_pictures = true;
+    });
     let capture = load(&folder);
     assert_eq!(capture.views.len(), 6);
     assert!(capture.warnings.is_empty(), "{:?}", capture.warnings);
@@ -98,6 +102,14 @@ fn a_sound_capture_has_nothing_to_warn_of_and_its_truth_beside_it() {
 }
 
 #[test]
+fn a_truth_without_pictures_still_has_all_numbers() {
+    let folder = made(|_| {});
+    let truth = Truth::load(&folder.path().join("made")).unwrap();
+    assert!(truth.lamps.len() == 2 && truth.sigma == Some(0.075));
+    assert!(truth.novel.is_none() && truth.relit.is_empty());
+}
+
+#[test]
 fn the_same_seed_makes_the_same_files_with_any_number_of_threads() {
     let with = |threads: usize, seed: u64| {
         let pool = rayon::ThreadPoolBuilder::new()
@@ -107,6 +119,7 @@ fn the_same_seed_makes_the_same_files_with_any_number_of_threads() {
         let folder = pool.install(|| {
             made(|recipe| {
                 recipe.seed = seed;
+                recipe.truth_pictures = true;
                 recipe.sensor.noise = 0.02;
                 recipe.errors.vertex_noise = 0.001;
             })
@@ -123,7 +136,7 @@ fn the_same_seed_makes_the_same_files_with_any_number_of_threads() {
 
 #[test]
 fn parts_add_up_and_lamps_add_up() {
-    let folder = made(|_| {});
+    let folder = made(|recipe| recipe.truth_pictures = true);
     let at = |file: &str| read_covered(&folder.path().join("made").join(file)).unwrap();
     let whole = at("images/view_000.exr");
     let sums = |a: &str, b: &str, within: f32| {
@@ -266,7 +279,7 @@ fn a_probe_lights_without_lamps() {
             recipe.views.scale = scale;
         });
         let truth = Truth::load(&made.path().join("made")).unwrap();
-        assert!(truth.lamps.is_empty() && truth.relit.is_empty() && truth.novel.is_some());
+        assert!(truth.lamps.is_empty() && truth.relit.is_empty());
         mean(&load(&made))
     };
     let (one, thousand) = (lit(1.0), lit(1e3));

@@ -42,7 +42,7 @@ pub(super) fn describe(name: &str, recipe: &Recipe, lamps: &[TrueLamp], centre: 
         },
         "split": "diffuse + specular = noise-free image",
         "alpha": "object coverage of the pixel; RGB is the mean over the pixel with background 0 (premultiplied)",
-        "moved": lamps.first().map(edit),
+        "moved": lamps.first().filter(|_| recipe.truth_pictures).map(edit),
         "seed": recipe.seed,
     })
 }
