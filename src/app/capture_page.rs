@@ -302,6 +302,7 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
             Method::Fast => "Fast",
             Method::Amuh => "AMUH (paper)",
             Method::Amhu => "AMHU (paper)",
+            Method::Plain => "Least squares (paper)",
         };
         egui::ComboBox::from_id_salt("method")
             .selected_text(name(settings.method))
@@ -310,6 +311,7 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
                     (Method::Fast, "Variable projection with the diffuse colours eliminated"),
                     (Method::Amuh, "The paper's alternation, lights first: slower and less exact, for comparison"),
                     (Method::Amhu, "The paper's alternation, roughness first: slower and less exact, for comparison"),
+                    (Method::Plain, "The paper's least squares without regularisation: slower and least exact, for comparison"),
                 ] {
                     ui.selectable_value(&mut settings.method, method, name(method)).on_hover_text(tip);
                 }

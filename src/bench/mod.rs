@@ -84,6 +84,7 @@ pub(crate) fn name(method: Method) -> &'static str {
         Method::Fast => "fast",
         Method::Amuh => "amuh",
         Method::Amhu => "amhu",
+        Method::Plain => "plain",
     }
 }
 

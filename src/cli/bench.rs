@@ -26,7 +26,7 @@ pub(super) struct BenchArgs {
         long,
         value_enum,
         value_delimiter = ',',
-        default_value = "fast,amuh,amhu"
+        default_value = "fast,amuh,amhu,plain"
     )]
     methods: Vec<MethodArg>,
     /// How often each is run, by turns; ratios are medians

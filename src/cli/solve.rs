@@ -50,6 +50,8 @@ pub(super) enum MethodArg {
     Amuh,
     /// The paper's alternation, roughness first: for comparison, slower and less exact
     Amhu,
+    /// The paper's least squares without regularisation: for comparison, slower and least exact
+    Plain,
 }
 
 impl MethodArg {
@@ -59,6 +61,7 @@ impl MethodArg {
             Self::Fast => Method::Fast,
             Self::Amuh => Method::Amuh,
             Self::Amhu => Method::Amhu,
+            Self::Plain => Method::Plain,
         }
     }
 }

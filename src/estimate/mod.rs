@@ -32,7 +32,7 @@ use crate::capture::Capture;
 use crate::hemisphere::HemisphereGrid;
 use crate::surface::{Occluder, ViewSurface};
 
-use alternating::Order;
+use alternating::{Order, Terms};
 use cells::Pyramid;
 use fast::{CoarseFit, Fit, Solver, Watch};
 pub use model::{Brdf, LobeValue, SpecularModel, ViewTerms};
@@ -54,6 +54,8 @@ pub enum Method {
     Amuh,
     /// The paper's alternating minimisation, roughness first.
     Amhu,
+    /// The paper's least squares (eq. 8), minimised as by AMUH: without M-estimator and without regularisation.
+    Plain,
 }
 
 /// Which specular model to use.
@@ -176,13 +178,14 @@ fn run(
         result.diagnostics.warnings.push(reason);
         return Ok(result);
     }
-    let order = match params.method {
+    let way = match params.method {
         Method::Fast => None,
-        Method::Amuh => Some(Order::LightsFirst),
-        Method::Amhu => Some(Order::LobeFirst),
+        Method::Amuh => Some((Order::LightsFirst, Terms::Robust)),
+        Method::Amhu => Some((Order::LobeFirst, Terms::Robust)),
+        Method::Plain => Some((Order::LightsFirst, Terms::Squares)),
     };
-    if let Some(order) = order {
-        alternate(&mut result, &solver, grid, order, params.specular, observer)?;
+    if let Some(way) = way {
+        alternate(&mut result, &solver, grid, way, params.specular, observer)?;
         return Ok(result);
     }
     let mut watch = Watch {
@@ -258,7 +261,7 @@ fn alternate(
     result: &mut Estimate,
     solver: &Solver<'_>,
     grid: &HemisphereGrid,
-    order: Order,
+    way: (Order, Terms),
     choice: SpecularChoice,
     observer: &mut dyn Observer,
 ) -> Result<(), Stopped> {
@@ -271,7 +274,7 @@ fn alternate(
         observer,
     };
     watch.observer.interim(Interim::Lobe(model));
-    let Some(solution) = alternating::solve(solver, grid, order, model, &mut watch)? else {
+    let Some(solution) = alternating::solve(solver, grid, way, model, &mut watch)? else {
         result
             .diagnostics
             .warnings
