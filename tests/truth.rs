@@ -150,8 +150,10 @@ fn a_made_capture_is_solved_and_benched_as_any_other() {
         String::from_utf8_lossy(&made.stderr)
     );
     assert!(String::from_utf8_lossy(&made.stdout).contains("\"views\":6"));
+    // Two captures of one name are told apart.
     let bench = rekindle(&[
         "bench",
+        &path("made"),
         &path("made"),
         "-o",
         &path("bench"),
@@ -165,5 +167,11 @@ fn a_made_capture_is_solved_and_benched_as_any_other() {
         "{}",
         String::from_utf8_lossy(&bench.stderr)
     );
-    assert_eq!(lines(&folder.path().join("bench/runs.csv")).len(), 2);
+    let runs = lines(&folder.path().join("bench/runs.csv"));
+    let names: Vec<&str> = runs.iter().map(|row| row[0].as_str()).collect();
+    assert_eq!(names, ["capture", "made", "made-2"]);
+    for name in ["made", "made-2"] {
+        let plot = folder.path().join(format!("bench/{name}.svg"));
+        assert!(plot.is_file(), "{}", plot.display());
+    }
 }

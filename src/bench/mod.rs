@@ -57,11 +57,15 @@ pub fn run(plan: &Plan, audience: &mut dyn Audience) -> Result<Report, BenchErro
         .collect::<Result<Vec<Truth>, BenchError>>()?;
     let all = plan.captures.len() * plan.methods.len() * plan.rounds as usize;
     let mut runs: Vec<Run> = Vec::with_capacity(all);
+    let mut names: Vec<String> = Vec::new();
     for (folder, truth) in plan.captures.iter().zip(&truths) {
+        let mut own: Option<String> = None;
         for round in 1..=plan.rounds {
             for &method in &plan.methods {
-                let capture = load(folder)?;
-                let what = format!("{}: {}", capture.0.name, name(method));
+                let (mut capture, load_s) = load(folder)?;
+                let own = own.get_or_insert_with(|| unlike(&capture.name, &names));
+                capture.name.clone_from(own);
+                let what = format!("{own}: {}", name(method));
                 audience.stage(&what, runs.len() as f32 / all as f32);
                 let options = SolveOptions {
                     estimate: EstimateParams {
@@ -71,11 +75,22 @@ pub fn run(plan: &Plan, audience: &mut dyn Audience) -> Result<Report, BenchErro
                     frequency: plan.frequency,
                     radius: None,
                 };
-                runs.push(record::record(capture, truth, &options, round, audience)?);
+                let run = record::record((capture, load_s), truth, &options, round, audience)?;
+                runs.push(run);
             }
         }
+        names.extend(own);
     }
     Ok(Report { runs })
+}
+
+/// The name, with a number if another capture has it already.
+fn unlike(name: &str, taken: &[String]) -> String {
+    let numbered = (2..).map(|k| format!("{name}-{k}"));
+    std::iter::once(name.to_owned())
+        .chain(numbered)
+        .find(|candidate| !taken.contains(candidate))
+        .unwrap_or_default()
 }
 
 /// What a method is called in files.

@@ -103,6 +103,7 @@ fn draw_panel(area: &DrawingArea<SVGBackend<'_>, Shift>, caption: &str, curves: 
     }
     chart
         .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
         .background_style(WHITE.mix(0.8))
         .draw()
 }
