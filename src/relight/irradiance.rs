@@ -2,8 +2,8 @@
 //!
 //! Most triangles of a fine mesh are far smaller than a penumbra. Their corners say how much of each lamp they see, and
 //! their centroids where not all around them see the same; between them that is linear. Where the four disagree, and on
-//! larger triangles at a shadow's edge, texels cast rays: every second one in both directions, the others where these
-//! differ much.
+//! larger triangles at a shadow's edge, texels cast rays: every eighth one in both directions, those between only where
+//! their neighbours differ by more than a smooth penumbra does.
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -13,8 +13,13 @@ use super::shading::{Shader, ShadingPoint, Visibility};
 use crate::capture::Mesh;
 use crate::surface::{Atlas, Texel};
 
-/// Texels along each side of a tile, the unit of work.
+/// Texels along each side of a tile, the unit of work: whole steps of the coarsest stride.
 const TILE: usize = 32;
+/// Texels of a grid this wide are looked at first …
+const FIRST_STRIDE: usize = 8;
+/// … then those half as far apart and so on to all, with how much the shares of the texels around them may differ for
+/// them to take their mean. The error of that grows with the square of the distance.
+const STRIDES: [(usize, f32); 4] = [(FIRST_STRIDE, 0.0), (4, 0.03), (2, 0.12), (1, 0.3)];
 /// Triangles of at most this many texels need no look at their centroid.
 const TINY_TRIANGLE: u32 = 1;
 /// Triangles of at most this many texels have their visibility interpolated …
@@ -27,11 +32,9 @@ const MAX_BEND: f32 = 0.12;
 /// Triangles of at most this many texels are taken as all lit or all dark where they are so at their corners, at those
 /// of the triangles around, in the middles of their edges and in the centre.
 const LARGE_TRIANGLE: u32 = 256;
-/// Texels between others whose shares differ by no more than this take their mean …
-const MAX_STEP: f32 = 0.3;
-/// … where their normals' cosine is above this …
+/// A texel takes the mean of others where their normals' cosine is above this …
 const SAME_SURFACE_COS: f32 = 0.8;
-/// … and they are no further away than this many typical distances.
+/// … and they are no further away than this many typical distances for each step.
 const SAME_SURFACE: f32 = 4.0;
 
 /// Irradiance of every texel by the light of `shader`, zero outside the atlas.
@@ -53,12 +56,14 @@ pub fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Ve
         })
         .collect();
     let mut irradiance = vec![Vec3::ZERO; width * height];
-    // Index of each texel that is left, plus one.
-    let mut left: Vec<u32> = vec![0; width * height];
+    // Index of each texel in the atlas' list, plus one, and which are left.
+    let mut listed: Vec<u32> = vec![0; width * height];
+    let mut left = vec![false; width * height];
     for (i, (value, texel)) in first.into_iter().zip(&atlas.texels).enumerate() {
+        listed[texel.index as usize] = i as u32 + 1;
         match value {
             Some(value) => irradiance[texel.index as usize] = value,
-            None => left[texel.index as usize] = i as u32 + 1,
+            None => left[texel.index as usize] = true,
         }
     }
     let spacing = texel_spacing(scene, atlas);
@@ -67,14 +72,17 @@ pub fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Ve
         .into_par_iter()
         .map(|tile| {
             let (x, y) = (tile % columns * TILE, tile / columns * TILE);
-            let (w, h) = (TILE.min(width - x), TILE.min(height - y));
+            // The first texels of the tiles beside it tell of those between.
+            let (w, h) = ((TILE + 1).min(width - x), (TILE + 1).min(height - y));
             let at = |i: usize| (y + i / w) * width + x + i % w;
-            let texels: Vec<Option<&Texel>> = (0..w * h)
-                .map(|i| Some(&atlas.texels[left[at(i)].checked_sub(1)? as usize]))
-                .collect();
-            if texels.iter().all(Option::is_none) {
+            let own = |i: usize| i % w < TILE && i / w < TILE;
+            let wanted: Vec<bool> = (0..w * h).map(|i| own(i) && left[at(i)]).collect();
+            if wanted.iter().all(|w| !w) {
                 return Vec::new();
             }
+            let texels: Vec<Option<&Texel>> = (0..w * h)
+                .map(|i| Some(&atlas.texels[listed[at(i)].checked_sub(1)? as usize]))
+                .collect();
             let tile = Tile {
                 points: texels
                     .iter()
@@ -84,11 +92,13 @@ pub fn texel_irradiance(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Ve
                     .iter()
                     .map(|t| t.and_then(|t| Some((shares_of(t)?, t.barycentric))))
                     .collect(),
+                wanted,
                 size: [w, h],
                 spacing,
                 shader,
             };
-            tile.irradiance().map(|(i, value)| (at(i), value)).collect()
+            let values = tile.irradiance();
+            values.into_iter().map(|(i, e)| (at(i), e)).collect()
         })
         .collect();
     for (index, value) in tiles.into_iter().flatten() {
@@ -102,27 +112,80 @@ struct Tile<'a> {
     points: Vec<Option<ShadingPoint>>,
     /// What their triangles tell, with their barycentric weights.
     known: Vec<Option<(&'a [Shares], Vec2)>>,
+    /// Texels whose irradiance is asked for.
+    wanted: Vec<bool>,
     size: [usize; 2],
     /// Typical distance of neighbouring texels.
     spacing: f32,
     shader: &'a Shader<'a>,
 }
 
+/// Seen part of a lamp at a texel.
+#[derive(Clone, Copy, PartialEq)]
+enum Seen {
+    /// Not looked at.
+    Unknown,
+    /// The lamp is behind the surface.
+    Below,
+    /// This share of what is above the horizon.
+    Share(f32),
+}
+
 impl Tile<'_> {
-    /// Index and irradiance of each of its texels.
-    fn irradiance(self) -> impl Iterator<Item = (usize, Vec3)> {
-        let groups = self.shader.groups();
-        let sparse = self.sparse_shares();
-        (0..self.points.len()).filter_map(move |i| {
-            let point = self.points[i].as_ref()?;
-            let seen: Vec<Visibility> = (0..groups)
-                .map(|g| {
-                    self.told(i, g)
-                        .or_else(|| self.interpolated(&sparse, i, g))
-                        .map_or_else(|| self.shader.cast(point, g), Visibility::Fraction)
-                })
-                .collect();
-            Some((i, self.shader.irradiance(point, &seen)))
+    /// Index and irradiance of each of the wanted texels.
+    fn irradiance(&self) -> Vec<(usize, Vec3)> {
+        let groups: Vec<Vec<Seen>> = (0..self.shader.groups()).map(|g| self.seen(g)).collect();
+        (0..self.points.len())
+            .filter(|&i| self.wanted[i])
+            .filter_map(|i| {
+                let point = self.points[i].as_ref()?;
+                let seen: Vec<Visibility> = groups
+                    .iter()
+                    .map(|seen| match seen[i] {
+                        Seen::Share(share) => Visibility::Fraction(share),
+                        Seen::Unknown | Seen::Below => Visibility::Below,
+                    })
+                    .collect();
+                Some((i, self.shader.irradiance(point, &seen)))
+            })
+            .collect()
+    }
+
+    /// What each wanted texel sees of a lamp, and others that tell of them.
+    fn seen(&self, group: usize) -> Vec<Seen> {
+        let [width, height] = self.size;
+        let mut seen = vec![Seen::Unknown; self.points.len()];
+        for (stride, max_step) in STRIDES {
+            for y in (0..height).step_by(stride) {
+                for x in (0..width).step_by(stride) {
+                    let i = y * width + x;
+                    if seen[i] != Seen::Unknown || !self.is_of_use([x, y], stride) {
+                        continue;
+                    }
+                    let Some(point) = &self.points[i] else {
+                        continue;
+                    };
+                    seen[i] = self
+                        .told(i, group)
+                        .or_else(|| {
+                            let around = (stride < FIRST_STRIDE).then_some(2 * stride)?;
+                            self.between(&seen, [x, y], around, max_step)
+                        })
+                        .or_else(|| self.shader.seen_share(point, group))
+                        .map_or(Seen::Below, Seen::Share);
+                }
+            }
+        }
+        seen
+    }
+
+    /// Whether a texel of a stride is wanted or has one around it that is.
+    fn is_of_use(&self, [x, y]: [usize; 2], stride: usize) -> bool {
+        let [width, height] = self.size;
+        let reach = stride - 1;
+        (y.saturating_sub(reach)..(y + reach + 1).min(height)).any(|y| {
+            (x.saturating_sub(reach)..(x + reach + 1).min(width))
+                .any(|x| self.wanted[y * width + x])
         })
     }
 
@@ -132,53 +195,38 @@ impl Tile<'_> {
         Some(between(shares[group]?, barycentric))
     }
 
-    /// Seen share of every lamp at every second texel in both directions, as far as it is not told; `None` also
-    /// where the lamp is below.
-    fn sparse_shares(&self) -> Vec<Option<f32>> {
-        let groups = self.shader.groups();
-        let [width, height] = [self.size[0].div_ceil(2), self.size[1].div_ceil(2)];
-        let full = |i: usize| i / width * 2 * self.size[0] + i % width * 2;
-        let points: Vec<Option<ShadingPoint>> =
-            (0..width * height).map(|i| self.points[full(i)]).collect();
-        let unknown = |i: usize, g: usize| points[i].is_some() && self.told(full(i), g).is_none();
-        let seen = self
-            .shader
-            .visibility(&points, width, 2.0 * self.spacing, &unknown);
-        (0..seen.len())
-            .map(|k| {
-                let (i, g) = (k / groups, k % groups);
-                let point = points[i].as_ref()?;
-                self.told(full(i), g)
-                    .or_else(|| self.shader.share(point, g, &seen[k]))
-            })
-            .collect()
-    }
-
-    /// A lamp's share between the texels around that have been looked at, if it changes slowly from one to the next.
-    fn interpolated(&self, sparse: &[Option<f32>], i: usize, group: usize) -> Option<f32> {
+    /// The mean of the texels around that are on the grid of a stride, if they differ by no more than `max_step`.
+    fn between(
+        &self,
+        seen: &[Seen],
+        [x, y]: [usize; 2],
+        stride: usize,
+        max_step: f32,
+    ) -> Option<f32> {
         let [width, height] = self.size;
-        let (x, y) = (i % width, i / width);
-        let point = self.points[i].as_ref()?;
-        let (mut low, mut high, mut sum, mut count) = (f32::INFINITY, 0.0_f32, 0.0, 0.0);
-        for ny in [y - y % 2, y + y % 2] {
-            for nx in [x - x % 2, x + x % 2] {
+        let point = self.points[y * width + x].as_ref()?;
+        let ends = |at: usize| [at - at % stride, at.next_multiple_of(stride)];
+        let reach = SAME_SURFACE * self.spacing * 0.5 * stride as f32;
+        let (mut low, mut high, mut sum) = (f32::INFINITY, 0.0_f32, 0.0);
+        for ny in ends(y) {
+            for nx in ends(x) {
                 if nx >= width || ny >= height {
                     return None;
                 }
+                let Seen::Share(share) = seen[ny * width + nx] else {
+                    return None;
+                };
                 let corner = self.points[ny * width + nx].as_ref()?;
-                let k = ny / 2 * width.div_ceil(2) + nx / 2;
-                let share = sparse[k * self.shader.groups() + group]?;
                 if corner.normal.dot(point.normal) < SAME_SURFACE_COS
-                    || corner.position.distance(point.position) > SAME_SURFACE * self.spacing
+                    || corner.position.distance(point.position) > reach
                 {
                     return None;
                 }
                 (low, high) = (low.min(share), high.max(share));
                 sum += share;
-                count += 1.0;
             }
         }
-        (high - low <= MAX_STEP).then_some(sum / count)
+        (high - low <= max_step).then_some(sum / 4.0)
     }
 }
 
