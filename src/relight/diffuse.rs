@@ -34,7 +34,7 @@ const MIXED_WEIGHT: f32 = 0.05;
 /// Residuals beyond this many standard deviations lose their weight (Tukey's biweight).
 const OUTLIER: f32 = 6.0;
 /// Views share this many accumulators, so that memory does not grow with their number.
-const ACCUMULATORS: usize = 8;
+const ACCUMULATORS: usize = 4;
 /// Weight, in fully trusted pixels, at which a texel's confidence is one half.
 const HALF_CONFIDENCE: f32 = 0.1;
 
@@ -103,10 +103,12 @@ pub fn reconstruct(
     let texels = (atlas.width * atlas.height) as usize;
     let size = [atlas.width as usize, atlas.height as usize];
 
-    let start = scatter(&footprints, size, |view, i| {
+    let mut sums = Sums::new(views.len().min(ACCUMULATORS), texels);
+    sums.scatter(&footprints, size, |view, i| {
         let f = &footprints[view];
         f.target[i] / f.covered(i)
     });
+    let start = sums.total.clone();
     let mut texture: Vec<Vec3A> = start
         .par_iter()
         .map(|s| s.truncate().max(Vec3::ZERO) * if s.w > 0.0 { 1.0 / s.w } else { 0.0 })
@@ -125,13 +127,13 @@ pub fn reconstruct(
                 f.distrust_outliers(&residuals, typical);
             }
         }
-        let update = scatter(&footprints, size, |view, i| {
+        sums.scatter(&footprints, size, |view, i| {
             let f = &footprints[view];
             f.residual(i, &texture, size) / f.covered(i)
         });
         texture
             .par_iter_mut()
-            .zip(&update)
+            .zip(&sums.total)
             .filter(|(_, update)| update.w > 0.0)
             .for_each(|(value, update)| {
                 let step = Vec3A::from_vec4(*update) * (RELAXATION / update.w);
@@ -212,37 +214,51 @@ impl Tap {
     }
 }
 
-/// Σ weight × value (xyz) and Σ weight (w) over the taps of all pixels that touch each texel. The order of all sums is
-/// fixed.
-fn scatter(
-    footprints: &[Footprints],
-    size: [usize; 2],
-    value: impl Fn(usize, usize) -> Vec3 + Sync,
-) -> Vec<Vec4> {
-    let texels = size[0] * size[1];
-    let lanes = footprints.len().min(ACCUMULATORS);
-    let parts: Vec<Vec<Vec4>> = (0..lanes)
-        .into_par_iter()
-        .map(|lane| {
-            let mut part = vec![Vec4::ZERO; texels];
-            for view in (lane..footprints.len()).step_by(lanes) {
-                let f = &footprints[view];
-                for i in (0..f.pixels.len()).filter(|&i| f.weight[i] > 0.0) {
-                    let weighted = value(view, i).extend(1.0) * (f.weight[i] * f.scale[i]);
-                    for tap in f.taps_of(i) {
-                        for (texel, share) in tap.texels(size[0]) {
-                            part[texel] += share * weighted;
+/// Σ weight × value (xyz) and Σ weight (w) over the taps of all pixels that touch each texel.
+struct Sums {
+    /// One sum per group of views, so that their order is fixed.
+    parts: Vec<Vec<Vec4>>,
+    total: Vec<Vec4>,
+}
+
+impl Sums {
+    fn new(parts: usize, texels: usize) -> Self {
+        Self {
+            parts: vec![vec![Vec4::ZERO; texels]; parts],
+            total: vec![Vec4::ZERO; texels],
+        }
+    }
+
+    /// Computes the sums for a value of each view's pixels.
+    fn scatter(
+        &mut self,
+        footprints: &[Footprints],
+        size: [usize; 2],
+        value: impl Fn(usize, usize) -> Vec3 + Sync,
+    ) {
+        let lanes = self.parts.len();
+        self.parts
+            .par_iter_mut()
+            .enumerate()
+            .for_each(|(lane, part)| {
+                part.fill(Vec4::ZERO);
+                for view in (lane..footprints.len()).step_by(lanes) {
+                    let f = &footprints[view];
+                    for i in (0..f.pixels.len()).filter(|&i| f.weight[i] > 0.0) {
+                        let weighted = value(view, i).extend(1.0) * (f.weight[i] * f.scale[i]);
+                        for tap in f.taps_of(i) {
+                            for (texel, share) in tap.texels(size[0]) {
+                                part[texel] += share * weighted;
+                            }
                         }
                     }
                 }
-            }
-            part
-        })
-        .collect();
-    (0..texels)
-        .into_par_iter()
-        .map(|t| parts.iter().map(|part| part[t]).sum())
-        .collect()
+            });
+        self.total
+            .par_iter_mut()
+            .enumerate()
+            .for_each(|(t, total)| *total = self.parts.iter().map(|part| part[t]).sum());
+    }
 }
 
 impl Footprints {
