@@ -14,6 +14,7 @@ use crate::estimate::{
 use crate::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
 };
+use crate::math::rounding::to_14_bits;
 use crate::relight::{
     Interreflection, Scene, Shader, Surroundings, ViewFit, reconstruct, separate,
 };
@@ -179,11 +180,18 @@ pub fn solve(
         convergence: found.convergence,
         mesh: mesh.clone(),
         atlas,
-        diffuse: texture.radiance,
-        albedo: albedo.albedo,
-        confidence: texture.confidence,
+        diffuse: rounded(texture.radiance),
+        albedo: rounded(albedo.albedo),
+        confidence: texture.confidence.into_iter().map(to_14_bits).collect(),
         pictures,
     })
+}
+
+fn rounded(mut pixels: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    for value in pixels.iter_mut().flatten() {
+        *value = to_14_bits(*value);
+    }
+    pixels
 }
 
 /// What all stages need of a mesh.
@@ -272,9 +280,10 @@ fn hemispheres(
         radiance: &initial.radiance,
     });
     let from_above = FromAbove::new(grid, PICTURE_SIDE);
-    let picture = |name: String, radiance: &[[f32; 3]]| HemispherePicture {
-        name,
-        picture: from_above.picture(radiance),
+    let picture = |name: String, radiance: &[[f32; 3]]| {
+        let mut picture = from_above.picture(radiance);
+        picture.radiance = rounded(picture.radiance);
+        HemispherePicture { name, picture }
     };
     let mut pictures = vec![picture("initial".to_owned(), &initial.radiance)];
     for (i, partial) in partials.iter().enumerate() {
