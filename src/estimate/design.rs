@@ -16,6 +16,7 @@ use super::cells::CellGeometry;
 use super::lobes::{CellLobes, PointLobes};
 use super::model::Brdf;
 use super::observations::{Observations, Point};
+use crate::math::vector;
 
 /// Points are always cut into this many runs, so that sums come out the same on any number of threads.
 const RUNS: usize = 8;
@@ -53,16 +54,6 @@ pub struct NormalEquations {
     pub gram: Mat<f64>,
     /// One right-hand side per channel.
     pub rhs: [Vec<f64>; 3],
-}
-
-impl NormalEquations {
-    /// The equations of nothing.
-    pub fn none() -> Self {
-        Self {
-            gram: Mat::new(),
-            rhs: [Vec::new(), Vec::new(), Vec::new()],
-        }
-    }
 }
 
 /// Specular radiance of every row and its derivative by σ.
@@ -105,7 +96,7 @@ impl Design<'_> {
     pub fn normal_equations(&self, brdf: &Brdf, weights: &[f32]) -> NormalEquations {
         let n = self.cells();
         let lobes = self.lobes(brdf);
-        let parts: Vec<(Lower, [Vec<f64>; 3])> = self
+        let parts: Vec<Lower> = self
             .runs()
             .into_par_iter()
             .map(|(first, last)| self.run_equations(&lobes, weights, first, last))
@@ -114,13 +105,12 @@ impl Design<'_> {
         let mut rhs = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
         for j in 0..n {
             let column = &mut gram.col_as_slice_mut(j)[j..];
-            for (part, _) in &parts {
-                add(column, &part.column(j)[j..]);
-            }
-        }
-        for (_, part) in &parts {
-            for (sum, part) in rhs.iter_mut().zip(part) {
-                add(sum, part);
+            for part in &parts {
+                let (products, measured) = part.column(j)[j..].split_at(n - j);
+                add(column, products);
+                for (sum, &m) in rhs.iter_mut().zip(measured) {
+                    sum[j] += m;
+                }
             }
         }
         for j in 0..n {
@@ -131,93 +121,63 @@ impl Design<'_> {
         NormalEquations { gram, rhs }
     }
 
+    /// Products of all columns, those of the cells and then the three of what was measured, over some points.
     fn run_equations(
         &self,
         lobes: &CellLobes<'_>,
         weights: &[f32],
         first: usize,
         last: usize,
-    ) -> (Lower, [Vec<f64>; 3]) {
-        let n = self.cells();
-        let mut gram = Lower::new(n);
-        let mut rhs = [vec![0.0_f64; n], vec![0.0; n], vec![0.0; n]];
+    ) -> Lower {
+        let width = self.cells() + 3;
+        let mut gram = Lower::new(width);
         let mut light = lobes.point();
         let mut block: Vec<f32> = Vec::new();
         for start in (first..last).step_by(BLOCK) {
             if self.stop.load(Ordering::Relaxed) {
                 break;
             }
+            let points = start..(start + BLOCK).min(last);
             block.clear();
-            for index in start..(start + BLOCK).min(last) {
+            for index in points.clone() {
                 self.light(lobes, index, &mut light);
                 self.fill_point(lobes, index, &light, &mut block);
             }
-            let (columns, mut compact) = compress(&block, n);
+            let (columns, mut compact) = compress(&block, width);
             let m = columns.len();
-            let mut sums = [vec![0.0; m], vec![0.0; m], vec![0.0; m]];
-            let mut from = 0;
-            for index in start..(start + BLOCK).min(last) {
-                let point = &self.observations.points[index];
-                let part = &mut compact[from * m..(from + point.rows.len()) * m];
-                from += point.rows.len();
-                let measured = self.observations.radiance(point);
-                self.eliminate(&lobes.brdf(), weights, point, &measured, part, &mut sums);
+            let mut rest = compact.as_mut_slice();
+            for point in &self.observations.points[points] {
+                let (rows, others) = rest.split_at_mut(point.rows.len() * m);
+                self.eliminate(&lobes.brdf(), weights, point, rows);
+                rest = others;
             }
             gram.add_product(&compact, &columns);
-            for (all, own) in rhs.iter_mut().zip(&sums) {
-                for (&c, v) in columns.iter().zip(own) {
-                    all[c] += v;
-                }
-            }
         }
-        (gram, rhs)
+        gram
     }
 
-    /// Subtracts the weighted mean over a point's rows, scales each row by √w and adds its product with `values`
-    /// to the right-hand sides.
-    fn eliminate(
-        &self,
-        brdf: &Brdf,
-        weights: &[f32],
-        point: &Point,
-        values: &[[f32; 3]],
-        block: &mut [f32],
-        rhs: &mut [Vec<f64>; 3],
-    ) {
-        let n = rhs[0].len();
+    /// Subtracts the weighted mean over a point's rows and scales each row by √w.
+    fn eliminate(&self, brdf: &Brdf, weights: &[f32], point: &Point, block: &mut [f32]) {
         let rows = &self.observations.rows[point.rows.clone()];
+        let w = &weights[point.rows.clone()];
+        let n = block.len() / rows.len().max(1);
         let transmittance: Vec<f32> = rows
             .iter()
             .map(|r| brdf.diffuse_transmittance(r.cos_view))
             .collect();
-        let w = &weights[point.rows.clone()];
         let total: f32 = w.iter().zip(&transmittance).map(|(w, t)| w * t * t).sum();
         if total <= 0.0 {
             block.fill(0.0);
             return;
         }
         let mut mean = vec![0.0_f32; n];
-        let mut mean_radiance = Vec3::ZERO;
-        let averaged = if self.diffuse_known { 0 } else { rows.len() };
-        for k in 0..averaged {
-            let share = w[k] * transmittance[k] / total;
-            for (m, a) in mean.iter_mut().zip(&block[k * n..(k + 1) * n]) {
-                *m += share * a;
+        if !self.diffuse_known {
+            for ((row, w), t) in block.chunks_exact(n).zip(w).zip(&transmittance) {
+                vector::add_scaled(&mut mean, w * t / total, row);
             }
-            mean_radiance += share * Vec3::from(values[k]);
         }
-        for k in 0..rows.len() {
-            let (root, t) = (w[k].sqrt(), transmittance[k]);
-            let y = (root * (Vec3::from(values[k]) - t * mean_radiance)).to_array();
-            let row = &mut block[k * n..(k + 1) * n];
-            for (a, m) in row.iter_mut().zip(&mean) {
-                *a = root * (*a - t * m);
-            }
-            for (sum, y) in rhs.iter_mut().zip(y) {
-                for (s, a) in sum.iter_mut().zip(row.iter()) {
-                    *s += f64::from(a * y);
-                }
-            }
+        for ((row, w), t) in block.chunks_exact_mut(n).zip(w).zip(&transmittance) {
+            vector::combine(row, w.sqrt(), -t * w.sqrt(), &mean);
         }
     }
 
@@ -233,40 +193,47 @@ impl Design<'_> {
             },
             visibility: self
                 .visibility
-                .chunks(n.max(1))
-                .flat_map(|v| kept.iter().map(|&c| v[c]))
+                .par_chunks(n.max(1))
+                .flat_map_iter(|v| kept.iter().map(|&c| v[c]))
                 .collect(),
             ..self.clone()
         }
     }
 
-    /// `aᵀ W z` for each cell's eliminated column a and each channel of `values`, one RGB value per row.
+    /// `aᵀ W z` for each cell's column a and each channel of `values`, one RGB value per row, from which the diffuse part
+    /// has been eliminated: then it need not be from the columns.
     pub fn correlate(&self, brdf: &Brdf, weights: &[f32], values: &[[f32; 3]]) -> [Vec<f64>; 3] {
         let n = self.cells();
+        let channels = if self.observations.gray { 1 } else { 3 };
         let lobes = self.lobes(brdf);
         let parts: Vec<[Vec<f64>; 3]> = self
             .runs()
             .into_par_iter()
             .map(|(first, last)| {
                 let mut sums = [vec![0.0_f64; n], vec![0.0; n], vec![0.0; n]];
+                let mut own = [vec![0.0_f32; n], vec![0.0; n], vec![0.0; n]];
                 let mut light = lobes.point();
-                let mut block = Vec::new();
-                for index in first..last {
+                let mut value = vec![0.0_f32; n];
+                for start in (first..last).step_by(BLOCK) {
                     if self.stop.load(Ordering::Relaxed) {
                         break;
                     }
-                    let point = &self.observations.points[index];
-                    self.light(&lobes, index, &mut light);
-                    self.fill_point(&lobes, index, &light, &mut block);
-                    self.eliminate(
-                        brdf,
-                        weights,
-                        point,
-                        &values[point.rows.clone()],
-                        &mut block,
-                        &mut sums,
-                    );
-                    block.clear();
+                    for index in start..(start + BLOCK).min(last) {
+                        let point = &self.observations.points[index];
+                        self.light(&lobes, index, &mut light);
+                        for k in point.rows.clone() {
+                            let to_camera = self.observations.rows[k].to_camera;
+                            let terms = brdf.view_terms(point.normal, to_camera);
+                            lobes.row(&terms, &light, &mut value, None);
+                            for (sum, z) in own.iter_mut().zip(values[k]).take(channels) {
+                                vector::add_scaled(sum, weights[k] * z, &value);
+                            }
+                        }
+                    }
+                    for (sum, own) in sums.iter_mut().zip(&mut own).take(channels) {
+                        add(sum, own);
+                        own.fill(0.0);
+                    }
                 }
                 sums
             })
@@ -277,10 +244,13 @@ impl Design<'_> {
                 add(sum, part);
             }
         }
+        if self.observations.gray {
+            all = [all[0].clone(), all[0].clone(), all[0].clone()];
+        }
         all
     }
 
-    /// Appends one row of the matrix per row of the point.
+    /// Appends one row of the matrix, and the three channels measured, per row of the point.
     fn fill_point(
         &self,
         lobes: &CellLobes<'_>,
@@ -295,22 +265,46 @@ impl Design<'_> {
             block.resize(from + n, 0.0);
             let terms = lobes.brdf().view_terms(point.normal, row.to_camera);
             lobes.row(&terms, light, &mut block[from..], None);
+            block.extend(row.radiance);
         }
     }
 
     /// Specular radiance of every row under the cells' radiances, with its derivative by σ.
     pub fn predict(&self, brdf: &Brdf, radiance: &[[f32; 3]]) -> Prediction {
+        let (value, by_sigma) = self.predicted(brdf, radiance, true);
+        Prediction { value, by_sigma }
+    }
+
+    /// Specular radiance of every row under the cells' radiances.
+    pub fn predict_values(&self, brdf: &Brdf, radiance: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        self.predicted(brdf, radiance, false).0
+    }
+
+    fn predicted(
+        &self,
+        brdf: &Brdf,
+        radiance: &[[f32; 3]],
+        derive: bool,
+    ) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
         let lit: Vec<usize> = (0..self.cells())
             .filter(|&c| radiance[c].iter().any(|&v| v != 0.0))
             .collect();
         let design = self.restricted(&lit);
         let lobes = design.lobes(brdf);
         let channels = [0, 1, 2].map(|k| lit.iter().map(|&c| radiance[c][k]).collect::<Vec<f32>>());
-        let parts: Vec<Prediction> = design
+        let gray = channels[0] == channels[1] && channels[0] == channels[2];
+        let sum = |row: &[f32]| {
+            if gray {
+                [vector::dot(row, &channels[0]); 3]
+            } else {
+                channels.each_ref().map(|l| vector::dot(row, l))
+            }
+        };
+        design
             .runs()
             .into_par_iter()
-            .map(|(first, last)| {
-                let mut part = Prediction::default();
+            .flat_map_iter(|(first, last)| {
+                let mut rows = Vec::new();
                 let mut light = lobes.point();
                 let (mut value, mut by_sigma) = (vec![0.0; lit.len()], vec![0.0; lit.len()]);
                 for index in first..last {
@@ -318,50 +312,40 @@ impl Design<'_> {
                     design.light(&lobes, index, &mut light);
                     for row in &self.observations.rows[point.rows.clone()] {
                         let terms = brdf.view_terms(point.normal, row.to_camera);
-                        lobes.row(&terms, &light, &mut value, Some(&mut by_sigma));
-                        part.value.push(channels.each_ref().map(|l| dot(&value, l)));
-                        part.by_sigma
-                            .push(channels.each_ref().map(|l| dot(&by_sigma, l)));
+                        let derivative = derive.then_some(by_sigma.as_mut_slice());
+                        lobes.row(&terms, &light, &mut value, derivative);
+                        rows.push((sum(&value), sum(&by_sigma)));
                     }
                 }
-                part
+                rows
             })
-            .collect();
-        let mut all = Prediction::default();
-        for part in parts {
-            all.value.extend(part.value);
-            all.by_sigma.extend(part.by_sigma);
-        }
-        all
+            .unzip()
     }
 }
 
-fn add(sums: &mut [f64], part: &[f64]) {
-    for (s, p) in sums.iter_mut().zip(part) {
-        *s += p;
+fn add<T: Into<f64> + Copy>(sums: &mut [f64], part: &[T]) {
+    for (s, &p) in sums.iter_mut().zip(part) {
+        *s += p.into();
     }
 }
 
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// The columns of a block of rows of `n` values that hold more than nothing, and the rows with these columns only; all
-/// columns where that leaves out few.
-fn compress(block: &[f32], n: usize) -> (Vec<usize>, Vec<f32>) {
-    let mut largest = vec![0.0_f32; n];
-    for row in block.chunks_exact(n.max(1)) {
-        for (l, &a) in largest.iter_mut().zip(row) {
-            *l = if a > *l { a } else { *l };
-        }
+/// The columns of a block of rows of `width` values that hold more than nothing, always with the last three, and the rows
+/// with these columns only; all columns where that leaves out few.
+fn compress(block: &[f32], width: usize) -> (Vec<usize>, Vec<f32>) {
+    let mut largest = vec![0.0_f32; width];
+    for row in block.chunks_exact(width) {
+        vector::keep_larger(&mut largest, row);
     }
-    let threshold = NEGLIGIBLE * largest.iter().fold(0.0_f32, |m, &l| m.max(l));
-    let columns: Vec<usize> = (0..n).filter(|&c| largest[c] > threshold).collect();
-    if columns.len() as f32 > FEW_LEFT_OUT * n as f32 {
-        return ((0..n).collect(), block.to_vec());
+    let cells = width - 3;
+    let threshold = NEGLIGIBLE * largest[..cells].iter().fold(0.0_f32, |m, &l| m.max(l));
+    let columns: Vec<usize> = (0..width)
+        .filter(|&c| c >= cells || largest[c] > threshold)
+        .collect();
+    if columns.len() as f32 > FEW_LEFT_OUT * width as f32 {
+        return ((0..width).collect(), block.to_vec());
     }
-    let mut compact = Vec::with_capacity(columns.len() * block.len() / n.max(1));
-    for row in block.chunks_exact(n.max(1)) {
+    let mut compact = Vec::with_capacity(columns.len() * block.len() / width);
+    for row in block.chunks_exact(width) {
         compact.extend(columns.iter().map(|&c| row[c]));
     }
     (columns, compact)
@@ -373,7 +357,7 @@ struct Lower {
     values: Vec<f64>,
     n: usize,
     /// Room for a block's product.
-    product: Vec<f64>,
+    product: Vec<f32>,
 }
 
 impl Lower {
@@ -389,45 +373,34 @@ impl Lower {
         &self.values[j * self.n..(j + 1) * self.n]
     }
 
-    /// Adds `blockᵀ block`; `block` holds rows of the values of `columns`, which ascend.
+    /// Adds `blockᵀ block`; `block` holds rows of the values of `columns`, which ascend. A block's products are summed in
+    /// single precision, blocks in double.
     fn add_product(&mut self, block: &[f32], columns: &[usize]) {
         let (m, n) = (columns.len(), self.n);
-        if m == 0 {
-            return;
-        }
-        let rows = block.len() / m;
-        let block: Vec<f64> = block.iter().map(|&a| f64::from(a)).collect();
-        if m == n {
-            let sum = MatMut::from_column_major_slice_mut(&mut self.values, n, n);
-            add_gram(sum, &block, rows, Accum::Add);
-            return;
-        }
+        // Row-major rows × m is column-major m × rows.
+        let transposed = MatRef::from_column_major_slice(block, m, block.len() / m);
         self.product.resize(m * m, 0.0);
-        let product = MatMut::from_column_major_slice_mut(&mut self.product, m, m);
-        add_gram(product, &block, rows, Accum::Replace);
+        matmul(
+            MatMut::from_column_major_slice_mut(&mut self.product, m, m),
+            BlockStructure::TriangularLower,
+            Accum::Replace,
+            transposed,
+            BlockStructure::Rectangular,
+            transposed.transpose(),
+            BlockStructure::Rectangular,
+            1.0_f32,
+            Par::Seq,
+        );
         for (j, &column) in columns.iter().enumerate() {
             let sum = &mut self.values[column * n..(column + 1) * n];
             let product = &self.product[j * m..(j + 1) * m];
-            for (&i, p) in columns[j..].iter().zip(&product[j..]) {
-                sum[i] += p;
+            if m == n {
+                add(&mut sum[j..], &product[j..]);
+            } else {
+                for (&i, &p) in columns[j..].iter().zip(&product[j..]) {
+                    sum[i] += f64::from(p);
+                }
             }
         }
     }
-}
-
-/// The lower half of `blockᵀ block`, added to `sum` or in its place; `block` holds `rows` rows.
-fn add_gram(sum: MatMut<'_, f64>, block: &[f64], rows: usize, accum: Accum) {
-    // Row-major rows × n is column-major n × rows.
-    let transposed = MatRef::from_column_major_slice(block, block.len() / rows, rows);
-    matmul(
-        sum,
-        BlockStructure::TriangularLower,
-        accum,
-        transposed,
-        BlockStructure::Rectangular,
-        transposed.transpose(),
-        BlockStructure::Rectangular,
-        1.0_f64,
-        Par::Seq,
-    );
 }

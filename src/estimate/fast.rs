@@ -17,7 +17,7 @@ use super::design::Design;
 use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
 use super::model::{Brdf, SpecularModel};
-use super::observations::{Observations, Row, Sampling, Seen};
+use super::observations::{Candidate, Observations, Row, Sampling, Seen};
 use super::observer::{Interim, Iteration, Observer, Stopped, go_on};
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
 use super::visibility::cell_visibility;
@@ -213,17 +213,23 @@ impl Solver<'_> {
 
     /// Goes on from a coarse fit to single nodes.
     pub fn fine_fit(&self, coarse: &State<'_>, watch: &mut Watch<'_>) -> Result<Fit, Stopped> {
-        let gray = self.middle_observations(coarse).to_gray();
-        let colour = self.fine_observations(coarse, FINE_POINTS);
+        let mut points = self.points_of_cells(coarse, FINE_POINTS);
+        let scale = Some(self.coarse.scale);
+        let all = Observations::of(points.clone(), scale);
+        points.truncate(MIDDLE_POINTS);
+        let some = Observations::of(points, scale);
+        let some_gray = some.to_gray();
+        let finest = self.pyramid.finest();
         let mut state = coarse.clone();
-        let mut error = f64::INFINITY;
-        for level in 1..=self.pyramid.finest() {
-            go_on(watch.observer.progress(
-                "splitting lit cells",
-                0.3 + 0.6 * f32::from(level) / f32::from(self.pyramid.finest()),
-            ))?;
-            let last = level == self.pyramid.finest();
-            state = self.refine(&state, if last { &colour } else { &gray });
+        for level in 1..=finest {
+            let done = f32::from(level - 1) / f32::from(finest);
+            go_on(
+                watch
+                    .observer
+                    .progress("splitting lit cells", 0.3 + 0.5 * done),
+            )?;
+            let last = level == finest;
+            state = self.refine(&state, if last { &some } else { &some_gray });
             let (rounds, precision) = if last { (10, EXACT) } else { (4, ROUGH) };
             state.solve_lights(precision);
             if last {
@@ -231,30 +237,36 @@ impl Solver<'_> {
             }
             let settled = self.improve(&mut state, rounds, precision, watch)?;
             if watch.observer.enough() {
-                error = settled.map_or(f64::INFINITY, |step| step.error);
-                break;
-            }
-            if last {
-                let step = settled.unwrap_or_else(|| {
-                    state.solve_lights(precision);
-                    state.sigma_step()
-                });
-                error = state.settle_sigma(&step, precision);
-                self.report(&state, watch)?;
+                let error = settled.map_or(f64::INFINITY, |step| step.error);
+                return Ok(self.fit(&state, error));
             }
         }
+        go_on(watch.observer.progress("settling the roughness", 0.8))?;
+        let mut state = self.on_points(&state, &all);
+        let step = self.improve(&mut state, 4, EXACT, watch)?;
+        let step = step.unwrap_or_else(|| {
+            state.solve_lights(EXACT);
+            state.sigma_step()
+        });
+        let error = state.settle_sigma(&step, EXACT);
+        self.report(&state, watch)?;
+        Ok(self.fit(&state, error))
+    }
+
+    /// What a state on single nodes, or on cells where it was ended early, has found.
+    fn fit(&self, state: &State<'_>, sigma_error: f64) -> Fit {
         let unexplained = state.unexplained_share();
         let scale = self.coarse.scale;
         let mut nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
         for value in nodes.iter_mut().flatten() {
             *value *= scale;
         }
-        Ok(Fit {
+        Fit {
             brdf: state.brdf,
             nodes: fill_compact_lamps(self.grid, state.brdf.sigma, &nodes),
-            sigma_error: error as f32,
+            sigma_error: sigma_error as f32,
             unexplained,
-        })
+        }
     }
 
     /// Reweighting, lights and a step of σ in turn, until σ stands still. Returns the step at which it did, which has
@@ -269,14 +281,25 @@ impl Solver<'_> {
         let mut before: Option<(f64, SigmaStep)> = None;
         for round in 0..rounds {
             state.reweight();
-            state.solve_lights(precision);
-            let step = state.sigma_step();
+            state.solve_lit(precision);
+            // Where σ still moves far, new cells light up; on single nodes it does not, and looking for them costs more.
+            if precision.looks_around {
+                state.light_missed(precision);
+            }
+            let mut step = state.sigma_step();
             self.report(state, watch)?;
             let sigma = f64::from(state.brdf.sigma);
             let limit = 0.3 * sigma;
-            let change = lengthened(before, sigma, &step).clamp(-limit, limit);
-            let settled = round > 1 && change.abs() < SETTLED * sigma;
-            if settled || watch.observer.enough() {
+            let mut change = lengthened(before, sigma, &step).clamp(-limit, limit);
+            if watch.observer.enough() {
+                return Ok(Some(step));
+            }
+            let is_small = |change: f64| round > 0 && change.abs() < SETTLED * sigma;
+            if (is_small(change) || round + 1 == rounds) && state.light_missed(precision) {
+                step = state.sigma_step();
+                change = step.step.clamp(-limit, limit);
+            }
+            if is_small(change) {
                 return Ok(Some(step));
             }
             // While the weights still settle, slopes of two rounds belong to two objectives.
@@ -299,20 +322,26 @@ impl Solver<'_> {
 
     /// Points for cells between the coarsest and the finest.
     pub fn middle_observations(&self, coarse: &State<'_>) -> Observations {
-        self.fine_observations(coarse, MIDDLE_POINTS)
+        let points = self.points_of_cells(coarse, MIDDLE_POINTS);
+        Observations::of(points, Some(self.coarse.scale))
     }
 
     /// Points at which one of the lit cells, or one beside them, could show.
-    fn fine_observations(&self, coarse: &State<'_>, limit: usize) -> Observations {
+    fn points_of_cells(&self, coarse: &State<'_>, limit: usize) -> Vec<Candidate> {
         let (split, kept) = self.worth_splitting(coarse);
         let cells: Vec<Cell> = split.into_iter().chain(kept).collect();
         let directions = self.pyramid.geometry(&cells).directions;
-        self.points_showing(&directions, &coarse.brdf, limit)
+        self.candidates_showing(&directions, &coarse.brdf, limit)
     }
 
     /// At most `limit` points at which light from one of the directions, or from a coarsest cell around it, could
     /// show.
     pub fn points_showing(&self, directions: &[Vec3], brdf: &Brdf, limit: usize) -> Observations {
+        let points = self.candidates_showing(directions, brdf, limit);
+        Observations::of(points, Some(self.coarse.scale))
+    }
+
+    fn candidates_showing(&self, directions: &[Vec3], brdf: &Brdf, limit: usize) -> Vec<Candidate> {
         let reach = brdf.half_angle_support(LEAST_LOBE) + 0.25 * self.pyramid.spacing(0);
         let least = reach.min(std::f32::consts::FRAC_PI_2).cos();
         let keep = |position: Vec3, normal: Vec3, rows: &[Row]| {
@@ -329,7 +358,7 @@ impl Solver<'_> {
             scale: Some(self.coarse.scale),
             stop: self.stop,
         };
-        Observations::gather(&self.seen, &sampling)
+        Candidate::all(&self.seen, &sampling)
     }
 
     /// Lit cells and those beside them, to be split; and lit cells that are too dim to be.
@@ -367,6 +396,23 @@ impl Solver<'_> {
         (split, kept)
     }
 
+    /// The same lights and σ on other points.
+    fn on_points<'s>(&'s self, state: &State<'_>, observations: &'s Observations) -> State<'s> {
+        state.on(self.shadowed_design(observations, &state.cells, &state.brdf))
+    }
+
+    /// A design that knows which points each cell reaches.
+    fn shadowed_design<'s>(
+        &'s self,
+        observations: &'s Observations,
+        cells: &[Cell],
+        brdf: &Brdf,
+    ) -> Design<'s> {
+        let mut design = self.design(observations, cells);
+        design.visibility = cell_visibility(&design, self.pyramid, cells, brdf, self.occluder);
+        design
+    }
+
     /// Splits lit cells and those beside them, drops dark ones and looks for shadows.
     pub fn refine<'s>(&'s self, state: &State<'_>, observations: &'s Observations) -> State<'s> {
         let (split, kept) = self.worth_splitting(state);
@@ -379,9 +425,7 @@ impl Solver<'_> {
             }
         }
         cells.sort_unstable();
-        let mut design = self.design(observations, &cells);
-        design.visibility =
-            cell_visibility(&design, self.pyramid, &cells, &state.brdf, self.occluder);
+        let design = self.shadowed_design(observations, &cells, &state.brdf);
         State::new(design, cells, state.brdf)
     }
 

@@ -8,6 +8,11 @@ use glam::Vec3;
 use super::cells::CellGeometry;
 use super::model::{Brdf, SpecularModel, ViewTerms};
 
+/// A lobe is taken as zero below this share of its peak.
+const CUTOFF: f32 = 1e-7;
+/// Cells that are looked at together: none of a run is computed where all are outside their lobes.
+const RUN: usize = 16;
+
 /// The lobes of a set of cells at one roughness, one value per cell in each vector.
 ///
 /// A lobe is blurred by the extent of its cell, as its mean over the cell: the Gaussian of variance σ² becomes wider and,
@@ -23,6 +28,8 @@ pub struct CellLobes<'a> {
     inverse_variance: Vec<f32>,
     /// Height of the blurred lobe over the sharp one's, σ²/σ_blurred².
     height: Vec<f32>,
+    /// Squared cosine between half vector and normal below which every lobe is taken as zero.
+    least_cos_squared: f32,
 }
 
 /// Light of every cell at one surface point, one value per cell in each vector.
@@ -56,16 +63,25 @@ impl<'a> CellLobes<'a> {
     /// Lobes of `brdf` on these cells.
     pub fn new(brdf: &Brdf, geometry: &'a CellGeometry, near: Option<(Vec3, f32)>) -> Self {
         let variance = brdf.sigma * brdf.sigma;
+        let padding = padded(geometry.spread.len()) - geometry.spread.len();
         let inverse_variance: Vec<f32> = geometry
             .spread
             .iter()
+            .chain(std::iter::repeat_n(&0.0, padding))
             .map(|spread| 1.0 / (variance + spread))
             .collect();
+        let sigma: Vec<f32> = inverse_variance.iter().map(|i| 1.0 / i.sqrt()).collect();
+        let widest = Brdf {
+            sigma: sigma.iter().fold(brdf.sigma, |m, &s| m.max(s)),
+            ..*brdf
+        };
+        let support = widest.half_angle_support(CUTOFF);
         Self {
             brdf: *brdf,
             geometry,
             near,
-            sigma: inverse_variance.iter().map(|i| 1.0 / i.sqrt()).collect(),
+            least_cos_squared: support.min(std::f32::consts::FRAC_PI_2).cos().powi(2),
+            sigma,
             height: inverse_variance.iter().map(|i| variance * i).collect(),
             inverse_variance,
         }
@@ -78,7 +94,8 @@ impl<'a> CellLobes<'a> {
 
     /// Room for the light at a point.
     pub fn point(&self) -> PointLobes {
-        let directions = &self.geometry.directions;
+        let mut directions = self.geometry.directions.clone();
+        directions.resize(self.sigma.len(), Vec3::ZERO);
         let zeros = vec![0.0; directions.len()];
         PointLobes {
             x: directions.iter().map(|d| d.x).collect(),
@@ -99,9 +116,8 @@ impl<'a> CellLobes<'a> {
         visibility: Option<&[f32]>,
         out: &mut PointLobes,
     ) {
-        let n = out.x.len();
-        let solid_angles = &self.geometry.solid_angles[..n];
-        let strength = &mut out.strength[..n];
+        let solid_angles = &self.geometry.solid_angles;
+        let strength = &mut out.strength[..solid_angles.len()];
         match visibility {
             Some(seen) => {
                 for ((s, w), m) in strength.iter_mut().zip(solid_angles).zip(seen) {
@@ -212,37 +228,133 @@ impl<const MICROFACET: bool> pulp::WithSimd for RowKernel<'_, MICROFACET> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
+    fn with_simd<S: pulp::Simd>(mut self, _: S) {
         let n = self.value.len();
-        let light = self.light;
-        let (x, y, z) = (&light.x[..n], &light.y[..n], &light.z[..n]);
-        let (cos_light, strength) = (&light.cos_light[..n], &light.strength[..n]);
-        let inverse_variance = &self.lobes.inverse_variance[..n];
-        let value = &mut self.value[..n];
-        let terms = self.terms;
-        let model = const { model::<MICROFACET>() };
-        let Some(by_sigma) = self.by_sigma else {
-            for c in 0..n {
-                let l = Vec3::new(x[c], y[c], z[c]);
-                let facets = terms.facets(model, l, cos_light[c]);
-                value[c] = strength[c] * terms.scale() * facets.density(inverse_variance[c]);
+        for first in (0..n).step_by(RUN) {
+            let cells = first..(first + RUN).min(n);
+            let value = &mut self.value[cells.clone()];
+            let by_sigma = self.by_sigma.as_deref_mut().map(|d| &mut d[cells]);
+            let run = Run::new(self.lobes, self.terms, self.light, first);
+            if !run.is_in_lobe() {
+                value.fill(0.0);
+                if let Some(by_sigma) = by_sigma {
+                    by_sigma.fill(0.0);
+                }
+                continue;
             }
-            return;
-        };
-        let (by_sigma, height) = (&mut by_sigma[..n], &self.lobes.height[..n]);
-        let log_masking_by_sigma = &light.log_masking_by_sigma[..n];
+            match by_sigma {
+                None => value.copy_from_slice(&run.values::<MICROFACET>()[..value.len()]),
+                Some(by_sigma) => {
+                    let (values, derivatives) = run.derivatives::<MICROFACET>();
+                    value.copy_from_slice(&values[..value.len()]);
+                    by_sigma.copy_from_slice(&derivatives[..by_sigma.len()]);
+                }
+            }
+        }
+    }
+}
+
+/// A number of cells that is whole runs.
+fn padded(cells: usize) -> usize {
+    cells.next_multiple_of(RUN)
+}
+
+/// The run of cells of some vector that begins at `first`.
+#[inline(always)]
+fn run(of: &[f32], first: usize) -> &[f32; RUN] {
+    of[first..]
+        .first_chunk()
+        .expect("vectors are padded to whole runs")
+}
+
+/// A run of neighbouring cells in a row: arrays of known length, for which compilers write vector code.
+struct Run<'a> {
+    lobes: &'a CellLobes<'a>,
+    terms: &'a ViewTerms,
+    first: usize,
+    light: &'a PointLobes,
+    x: &'a [f32; RUN],
+    y: &'a [f32; RUN],
+    z: &'a [f32; RUN],
+    cos_light: &'a [f32; RUN],
+    strength: &'a [f32; RUN],
+    inverse_variance: &'a [f32; RUN],
+}
+
+impl<'a> Run<'a> {
+    #[inline(always)]
+    fn new(
+        lobes: &'a CellLobes<'_>,
+        terms: &'a ViewTerms,
+        light: &'a PointLobes,
+        first: usize,
+    ) -> Self {
+        Self {
+            lobes,
+            terms,
+            first,
+            light,
+            x: run(&light.x, first),
+            y: run(&light.y, first),
+            z: run(&light.z, first),
+            cos_light: run(&light.cos_light, first),
+            strength: run(&light.strength, first),
+            inverse_variance: run(&lobes.inverse_variance, first),
+        }
+    }
+
+    #[inline(always)]
+    fn direction(&self, c: usize) -> Vec3 {
+        Vec3::new(self.x[c], self.y[c], self.z[c])
+    }
+
+    /// Whether the half vector of any of the cells is near enough to the normal.
+    #[inline(always)]
+    fn is_in_lobe(&self) -> bool {
+        let least = self.lobes.least_cos_squared;
+        let mut inside = [0_u32; RUN];
+        for c in 0..RUN {
+            let (sum, squared) = self.terms.half(self.direction(c), self.cos_light[c]);
+            inside[c] = u32::from((sum * sum >= least * squared) & (self.cos_light[c] > 0.0));
+        }
+        inside.iter().fold(0, |any, i| any | i) != 0
+    }
+
+    #[inline(always)]
+    fn values<const MICROFACET: bool>(&self) -> [f32; RUN] {
+        let model = const { model::<MICROFACET>() };
+        let mut value = [0.0; RUN];
+        for c in 0..RUN {
+            let facets = self
+                .terms
+                .facets(model, self.direction(c), self.cos_light[c]);
+            let density = facets.density(self.inverse_variance[c]);
+            value[c] = self.strength[c] * self.terms.scale() * density;
+        }
+        value
+    }
+
+    /// The values with their derivatives by σ.
+    #[inline(always)]
+    fn derivatives<const MICROFACET: bool>(&self) -> ([f32; RUN], [f32; RUN]) {
+        let model = const { model::<MICROFACET>() };
+        let log_masking_by_sigma = run(&self.light.log_masking_by_sigma, self.first);
+        let height = run(&self.lobes.height, self.first);
         let sigma = self.lobes.brdf.sigma;
-        for c in 0..n {
-            let l = Vec3::new(x[c], y[c], z[c]);
-            let facets = terms.facets(model, l, cos_light[c]);
-            let inverse = inverse_variance[c];
-            value[c] = strength[c] * terms.scale() * facets.density(inverse);
+        let (mut value, mut by_sigma) = ([0.0; RUN], [0.0; RUN]);
+        for c in 0..RUN {
+            let facets = self
+                .terms
+                .facets(model, self.direction(c), self.cos_light[c]);
+            let inverse = self.inverse_variance[c];
+            value[c] = self.strength[c] * self.terms.scale() * facets.density(inverse);
             // dσ_blurred/dσ = σ/σ_blurred = √height; d ln(height)/dσ = 2 (1 − height)/σ.
             let log_derivative = sigma * facets.slope_squared * inverse * inverse
                 + height[c].sqrt() * log_masking_by_sigma[c]
-                + terms.log_scale_by_sigma()
+                + self.terms.log_scale_by_sigma()
                 + 2.0 / sigma * (1.0 - height[c]);
             by_sigma[c] = value[c] * log_derivative;
         }
+        (value, by_sigma)
     }
 }

@@ -193,12 +193,21 @@ impl ViewTerms {
         self.log_scale_by_sigma
     }
 
+    /// n·(l + v) and |l + v|² for light from the unit direction `light`; `cos_light` is n·l.
+    #[inline(always)]
+    pub fn half(&self, light: Vec3, cos_light: f32) -> (f32, f32) {
+        // |l + v|² = 2 + 2 l·v.
+        let squared = (2.0 + 2.0 * light.dot(self.view)).max(1e-12);
+        (cos_light + self.cos_normal, squared)
+    }
+
     /// The facets that mirror light from the unit direction `light` to the viewer; `cos_light` is n·l.
     #[inline(always)]
     pub fn facets(&self, model: SpecularModel, light: Vec3, cos_light: f32) -> Facets {
-        // |l + v|² = 2 + 2 l·v, n·h = (n·l + n·v)/|l + v|, l·h = |l + v|/2.
-        let length = (2.0 + 2.0 * light.dot(self.view)).max(1e-12).sqrt();
-        let cos_half = ((cos_light + self.cos_normal) / length).clamp(1e-3, 1.0);
+        let (sum, squared) = self.half(light, cos_light);
+        // n·h = n·(l + v)/|l + v|, l·h = |l + v|/2.
+        let length = squared.sqrt();
+        let cos_half = (sum / length).clamp(1e-3, 1.0);
         match model {
             SpecularModel::Paper => Facets {
                 slope_squared: squared_arccos(cos_half),

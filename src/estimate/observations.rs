@@ -85,34 +85,13 @@ pub struct Sampling<'a> {
 impl Observations {
     /// Gathers points from all views.
     pub fn gather(seen: &Seen<'_>, sampling: &Sampling<'_>) -> Self {
-        let interior: usize = seen
-            .surfaces
-            .iter()
-            .map(|s| s.interior.iter().filter(|&&i| i).count())
-            .sum();
-        // One candidate a square of `cell` pixels.
-        let cell = (interior as f64 / sampling.candidates.max(1) as f64)
-            .sqrt()
-            .max(1.0);
-        let mut found: Vec<Candidate> = (0..seen.views.len())
-            .into_par_iter()
-            .flat_map_iter(|view| {
-                pixel_grid(&seen.surfaces[view], cell, view)
-                    .map(move |(x, y, order)| (order, view, x, y))
-            })
-            .filter_map(|(order, view, x, y)| {
-                if sampling.stop.load(Ordering::Relaxed) {
-                    return None;
-                }
-                candidate(seen, view, [x, y], order)
-            })
-            .collect();
-        found.retain(|c| c.rows.len() >= 2);
-        found.retain(|c| (sampling.keep)(c.position, c.normal, &c.rows));
-        found.sort_unstable_by_key(|c| c.order);
-        found.truncate(sampling.limit);
-        found.sort_by_key(|c| (morton_of_direction(c.normal), c.order));
-        Self::from_candidates(&found, sampling.scale)
+        Self::of(Candidate::all(seen, sampling), sampling.scale)
+    }
+
+    /// The points of candidates.
+    pub fn of(mut candidates: Vec<Candidate>, scale: Option<f32>) -> Self {
+        candidates.sort_by_key(|c| (morton_of_direction(c.normal), c.order));
+        Self::from_candidates(&candidates, scale)
     }
 
     fn from_candidates(candidates: &[Candidate], scale: Option<f32>) -> Self {
@@ -153,14 +132,6 @@ impl Observations {
         gray.gray = true;
         gray
     }
-
-    /// Measured radiance of a point's rows.
-    pub fn radiance(&self, point: &Point) -> Vec<[f32; 3]> {
-        self.rows[point.rows.clone()]
-            .iter()
-            .map(|r| r.radiance)
-            .collect()
-    }
 }
 
 /// Position on a space-filling curve over the octahedral map, so that near directions have near codes.
@@ -179,13 +150,47 @@ fn morton_of_direction(d: Vec3) -> u32 {
     })
 }
 
-struct Candidate {
+/// A surface point that may be taken.
+#[derive(Clone)]
+pub struct Candidate {
     /// Pseudo-random rank, unique enough to sample evenly.
     order: (u32, usize, u32, u32),
     position: Vec3,
     normal: Vec3,
     on: (u32, Vec2),
     rows: Vec<Row>,
+}
+
+impl Candidate {
+    /// The points of a sampling in random order, so that the first of them are an even sample too.
+    pub fn all(seen: &Seen<'_>, sampling: &Sampling<'_>) -> Vec<Self> {
+        let interior: usize = seen
+            .surfaces
+            .iter()
+            .map(|s| s.interior.iter().filter(|&&i| i).count())
+            .sum();
+        // One candidate a square of `cell` pixels.
+        let cell = (interior as f64 / sampling.candidates.max(1) as f64)
+            .sqrt()
+            .max(1.0);
+        let mut found: Vec<Self> = (0..seen.views.len())
+            .into_par_iter()
+            .flat_map_iter(|view| {
+                pixel_grid(&seen.surfaces[view], cell, view)
+                    .map(move |(x, y, order)| (order, view, x, y))
+            })
+            .filter_map(|(order, view, x, y)| {
+                if sampling.stop.load(Ordering::Relaxed) {
+                    return None;
+                }
+                candidate(seen, view, [x, y], order)
+            })
+            .filter(|c| c.rows.len() >= 2 && (sampling.keep)(c.position, c.normal, &c.rows))
+            .collect();
+        found.sort_unstable_by_key(|c| c.order);
+        found.truncate(sampling.limit);
+        found
+    }
 }
 
 /// One pixel in each square of `cell` × `cell` pixels, jittered by a hash, with the hash as a random order.

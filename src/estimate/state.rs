@@ -1,5 +1,7 @@
 //! One estimate in progress: lights on cells, σ and robust weights, and the steps that improve each.
 
+use std::sync::atomic::Ordering;
+
 use faer::linalg::solvers::Solve;
 use faer::{Col, Mat, Side};
 
@@ -20,26 +22,38 @@ pub struct Precision {
     pub ridge: f64,
     /// See [`NnlsParams::tolerance`].
     pub tolerance: f64,
+    /// Whether every solve makes sure that no cell away from the lit ones would take light, or the last one only.
+    pub looks_around: bool,
 }
 
 /// Enough to see where light is.
 pub const ROUGH: Precision = Precision {
     ridge: 1e-6,
     tolerance: 1e-4,
+    looks_around: true,
 };
 
 /// Enough that σ and the lamps' extents are not biased: at a ridge of 1e-5 they were, by 4 % and a factor of two.
 pub const EXACT: Precision = Precision {
     ridge: 1e-9,
     tolerance: 1e-7,
+    looks_around: false,
 };
 
 /// Distance between the roughnesses at which f is looked at, as a share of σ, and how many they are at most.
 const PROBE: f64 = 0.03;
 const MOST_PROBES: usize = 6;
 
+/// A shift of σ by less than this part of it is not worth solving the lights again.
+const NO_SHIFT: f64 = 1e-5;
+
 /// Curvature of f as a share of Gauss-Newton's below which what is measured of it is noise.
 const LEAST_CURVATURE: f64 = 0.05;
+
+/// Cells no further from a lit one than this many spacings may come to be lit next.
+const BESIDE: f32 = 1.4;
+/// Where more than this part of all cells may be lit, all are taken.
+const MOST_CHOSEN: f32 = 0.8;
 
 /// An estimate in progress.
 #[derive(Clone)]
@@ -57,6 +71,17 @@ pub struct State<'a> {
     /// What the present lights leave over.
     pub residuals: Residuals,
     prediction: Prediction,
+    /// Cells that may be lit, ascending. Whether the others stay dark is looked at after each solve.
+    candidates: Vec<usize>,
+    /// The last solve's equations, once there was one.
+    system: Option<System>,
+}
+
+/// Normal equations of some of the cells.
+#[derive(Clone)]
+struct System {
+    /// The cells, ascending.
+    columns: Vec<usize>,
     equations: NormalEquations,
 }
 
@@ -81,7 +106,8 @@ impl<'a> State<'a> {
             weights: initial_weights(&design),
             residuals: Residuals::default(),
             prediction: Prediction::default(),
-            equations: NormalEquations::none(),
+            candidates: (0..cells.len()).collect(),
+            system: None,
             design,
             cells,
             brdf,
@@ -93,20 +119,66 @@ impl<'a> State<'a> {
         let kept: Vec<usize> = (0..self.cells.len())
             .filter(|&k| keep(&self.cells[k]))
             .collect();
-        Self {
+        let mut some = Self {
             design: self.design.restricted(&kept),
             cells: kept.iter().map(|&k| self.cells[k]).collect(),
             radiance: kept.iter().map(|&k| self.radiance[k]).collect(),
-            equations: NormalEquations::none(),
             ..self.clone()
-        }
+        };
+        some.candidates = some.around(&some.lit());
+        some
+    }
+
+    /// The same lights and σ looked at on other points.
+    pub fn on<'b>(&self, design: Design<'b>) -> State<'b> {
+        let mut moved = State::new(design, self.cells.clone(), self.brdf);
+        moved.radiance.clone_from(&self.radiance);
+        moved.candidates.clone_from(&self.candidates);
+        moved.predict();
+        moved
     }
 
     /// Minimises over the lights at the present σ and weights.
     pub fn solve_lights(&mut self, precision: Precision) {
-        let n = self.cells.len();
-        self.equations = self.design.normal_equations(&self.brdf, &self.weights);
-        let gram = &mut self.equations.gram;
+        self.candidates = (0..self.cells.len()).collect();
+        self.solve_candidates(precision);
+        self.candidates = self.around(&self.lit());
+    }
+
+    /// [`State::solve_lights`] over the cells that are lit and those beside them, which are few, as long as others stay dark.
+    pub fn solve_lit(&mut self, precision: Precision) {
+        self.solve_candidates(precision);
+        self.candidates = self.around(&self.lit());
+    }
+
+    /// Goes on from [`State::solve_lit`] until no other cell would take light; whether there was any.
+    pub fn light_missed(&mut self, precision: Precision) -> bool {
+        let mut any = false;
+        loop {
+            let missed = self.missed(precision);
+            if missed.is_empty() || self.design.stop.load(Ordering::Relaxed) {
+                return any;
+            }
+            any = true;
+            self.candidates.extend(self.around(&missed));
+            self.candidates.sort_unstable();
+            self.candidates.dedup();
+            self.solve_candidates(precision);
+        }
+    }
+
+    /// Minimises over the lights of the candidates; the other cells are dark.
+    fn solve_candidates(&mut self, precision: Precision) {
+        let restricted;
+        let design = if self.candidates.len() == self.cells.len() {
+            &self.design
+        } else {
+            restricted = self.design.restricted(&self.candidates);
+            &restricted
+        };
+        let mut equations = design.normal_equations(&self.brdf, &self.weights);
+        let n = self.candidates.len();
+        let gram = &mut equations.gram;
         let mean = (0..n).map(|i| gram[(i, i)]).sum::<f64>() / n.max(1) as f64;
         for i in 0..n {
             // A cell that no row sees must stay dark, not singular.
@@ -119,10 +191,14 @@ impl<'a> State<'a> {
         };
         let channels = if self.design.observations.gray { 1 } else { 3 };
         for c in 0..channels {
-            let mut x: Vec<f64> = self.radiance.iter().map(|l| f64::from(l[c])).collect();
-            nnls::solve(gram.as_ref(), &self.equations.rhs[c], &mut x, &params);
-            for (l, x) in self.radiance.iter_mut().zip(x) {
-                l[c] = x as f32;
+            let mut x: Vec<f64> = self
+                .candidates
+                .iter()
+                .map(|&k| f64::from(self.radiance[k][c]))
+                .collect();
+            nnls::solve(gram.as_ref(), &equations.rhs[c], &mut x, &params);
+            for (&k, x) in self.candidates.iter().zip(x) {
+                self.radiance[k][c] = x as f32;
             }
         }
         if channels == 1 {
@@ -130,8 +206,67 @@ impl<'a> State<'a> {
                 *l = [l[0]; 3];
             }
         }
+        self.system = Some(System {
+            columns: self.candidates.clone(),
+            equations,
+        });
+        self.predict();
+    }
+
+    fn predict(&mut self) {
         self.prediction = self.design.predict(&self.brdf, &self.radiance);
         self.residuals = residuals(&self.design, &self.brdf, &self.weights, &self.prediction);
+    }
+
+    /// Cells that are no candidates and would come to be lit.
+    fn missed(&self, precision: Precision) -> Vec<usize> {
+        let Some(system) = &self.system else {
+            return Vec::new();
+        };
+        if system.columns.len() == self.cells.len() {
+            return Vec::new();
+        }
+        let mut is_candidate = vec![false; self.cells.len()];
+        for &k in &system.columns {
+            is_candidate[k] = true;
+        }
+        let fall = self
+            .design
+            .correlate(&self.brdf, &self.weights, &self.residuals.values);
+        let least = system.equations.rhs.each_ref().map(|rhs| {
+            let scale = rhs.iter().fold(0.0_f64, |m, b| m.max(b.abs()));
+            precision.tolerance * scale
+        });
+        (0..self.cells.len())
+            .filter(|&k| !is_candidate[k] && (0..3).any(|c| fall[c][k] > least[c]))
+            .collect()
+    }
+
+    fn lit(&self) -> Vec<usize> {
+        (0..self.cells.len())
+            .filter(|&k| self.radiance[k].iter().any(|&v| v > 0.0))
+            .collect()
+    }
+
+    /// Some cells and those beside them, ascending; all where there are none, or not many others.
+    fn around(&self, some: &[usize]) -> Vec<usize> {
+        let geometry = &self.design.geometry;
+        // Nodes of a hexagonal grid, each of which has the solid angle √3/2 spacing².
+        let spacing = |k: usize| (geometry.solid_angles[k] * 2.0 / 3.0_f32.sqrt()).sqrt();
+        let is_beside = |k: usize, lit: usize| {
+            let reach = BESIDE * spacing(k).max(spacing(lit));
+            geometry.directions[k].distance_squared(geometry.directions[lit]) < reach * reach
+        };
+        let all = 0..self.cells.len();
+        let around: Vec<usize> = all
+            .clone()
+            .filter(|&k| some.iter().any(|&lit| is_beside(k, lit)))
+            .collect();
+        if around.is_empty() || around.len() as f32 > MOST_CHOSEN * all.len() as f32 {
+            all.collect()
+        } else {
+            around
+        }
     }
 
     /// Takes weights from the present residuals.
@@ -279,8 +414,10 @@ impl<'a> State<'a> {
             rise += curvature * away;
             here = next;
         }
-        self.brdf.sigma = (sigma + shift) as f32;
-        self.solve_lights(precision);
+        if shift > NO_SHIFT * sigma {
+            self.brdf.sigma = (sigma + shift) as f32;
+            self.solve_lights(precision);
+        }
         let curvature = (0.5 * least).max(LEAST_CURVATURE * step.curvature);
         (variance / curvature).sqrt()
     }
@@ -303,25 +440,39 @@ impl<'a> State<'a> {
 
     /// ∂A/∂σ L per row, less its weighted projection onto the lit columns and onto each point's diffuse colour.
     fn unexplained_derivative(&self) -> Vec<[f32; 3]> {
+        let mut unique = self.prediction.by_sigma.clone();
+        self.eliminate(&mut unique);
+        let Some(system) = &self.system else {
+            return unique;
+        };
+        let lit = self.lit();
         let products = self
             .design
-            .correlate(&self.brdf, &self.weights, &self.prediction.by_sigma);
+            .restricted(&lit)
+            .correlate(&self.brdf, &self.weights, &unique);
         let mut imitation = vec![[0.0_f32; 3]; self.cells.len()];
         for c in 0..3 {
-            let lit: Vec<usize> = (0..self.cells.len())
-                .filter(|&k| self.radiance[k][c] > 0.0)
-                .collect();
-            for (k, value) in solve_restricted(&self.equations.gram, &products[c], &lit) {
+            let (own, rhs): (Vec<usize>, Vec<f64>) = lit
+                .iter()
+                .zip(&products[c])
+                .filter(|(k, _)| self.radiance[**k][c] > 0.0)
+                .unzip();
+            for (&k, value) in own.iter().zip(system.solve(&own, &rhs)) {
                 imitation[k][c] = value as f32;
             }
         }
-        let imitated = self.design.predict(&self.brdf, &imitation);
-        let mut unique = self.prediction.by_sigma.clone();
-        for (u, i) in unique.iter_mut().zip(&imitated.value) {
+        let imitated = self.design.predict_values(&self.brdf, &imitation);
+        for (u, i) in unique.iter_mut().zip(&imitated) {
             for c in 0..3 {
                 u[c] -= i[c];
             }
         }
+        self.eliminate(&mut unique);
+        unique
+    }
+
+    /// Takes the best diffuse colour of each point out of one RGB value per row.
+    fn eliminate(&self, values: &mut [[f32; 3]]) {
         let observations = self.design.observations;
         for point in &observations.points {
             let rows = point.rows.clone();
@@ -330,19 +481,26 @@ impl<'a> State<'a> {
                 &self.brdf,
                 cosines,
                 &self.weights[rows.clone()],
-                &mut unique[rows],
+                &mut values[rows],
             );
         }
-        unique
     }
 }
 
-/// Solution of the equations of the columns `own` alone, as (column, value); nothing where they are singular.
-fn solve_restricted(gram: &Mat<f64>, rhs: &[f64], own: &[usize]) -> Vec<(usize, f64)> {
-    let block = Mat::from_fn(own.len(), own.len(), |i, j| gram[(own[i], own[j])]);
-    let Ok(factor) = block.llt(Side::Lower) else {
-        return Vec::new();
-    };
-    let x = factor.solve(&Col::from_fn(own.len(), |i| rhs[own[i]]));
-    own.iter().enumerate().map(|(i, &k)| (k, x[i])).collect()
+impl System {
+    /// Solution of the equations of the cells `own` alone, which are among the columns; nothing where they are singular.
+    fn solve(&self, own: &[usize], rhs: &[f64]) -> Vec<f64> {
+        let at: Vec<usize> = own
+            .iter()
+            .filter_map(|k| self.columns.binary_search(k).ok())
+            .collect();
+        let block = Mat::from_fn(at.len(), at.len(), |i, j| {
+            self.equations.gram[(at[i], at[j])]
+        });
+        let Ok(factor) = block.llt(Side::Lower) else {
+            return Vec::new();
+        };
+        let x = factor.solve(&Col::from_fn(at.len(), |i| rhs[i]));
+        x.iter().copied().collect()
+    }
 }
