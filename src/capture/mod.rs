@@ -1,6 +1,7 @@
 //! What was measured: the photographs, their cameras and the mesh, read from a capture folder.
 
 mod camera;
+mod clipping;
 mod colmap;
 mod demo;
 mod error;

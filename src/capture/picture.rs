@@ -3,10 +3,12 @@
 //! * EXR: linear, premultiplied; the layer with plain R, G, B is preferred; the data window is placed in the
 //!   display window.
 //! * Radiance HDR, floating-point TIFF: linear.
+//! * All of these: pixels on a plateau at the largest value are saturated.
 //! * 16-bit PNG and TIFF: taken as linear. 8-bit PNG, TIFF and JPEG: decoded by the sRGB curve. Full scale is 1,
 //!   and pixels at full scale in any channel are saturated: they say only "at least this much". Alpha in
 //!   these files is straight and RGB gets multiplied by it after decoding.
 
+use super::clipping::mark_clipped;
 use super::error::CaptureError;
 use exr::meta::header::Header;
 use exr::prelude::{FlatImage, FlatSamples, MetaData, ReadChannels, ReadLayers};
@@ -71,11 +73,15 @@ impl Picture {
         bytes: &[u8],
         check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
     ) -> Result<Self, CaptureError> {
-        if bytes.starts_with(&EXR_MAGIC) {
-            read_exr(path, bytes, check_size)
+        let mut picture = if bytes.starts_with(&EXR_MAGIC) {
+            read_exr(path, bytes, check_size)?
         } else {
-            read_common(path, bytes, check_size)
+            read_common(path, bytes, check_size)?
+        };
+        if picture.encoding == Encoding::Float {
+            mark_clipped(&picture.rgb, &mut picture.saturated);
         }
+        Ok(picture)
     }
 }
 
