@@ -1,14 +1,32 @@
 //! Numbers without the digits that say nothing.
 
-/// Bits of the mantissa that are dropped: 13 of 23 are kept.
-const DROPPED: u32 = 10;
+use half::f16;
 
-/// The nearest number of 14 significant bits, 6e-5 of it away at most.
-///
-/// The digits beyond are noise in anything measured, and most of the size of a file that is compressed without loss.
-pub fn to_14_bits(value: f32) -> f32 {
-    let half = 1 << (DROPPED - 1);
-    let rounded = f32::from_bits(value.to_bits().saturating_add(half) & !((1 << DROPPED) - 1));
+/// Largest magnitude of numbers that are rounded to half floats, and the least that the largest of them must have: below
+/// it, many would be subnormal.
+const HALVES: [f32; 2] = [0.01, 6e4];
+/// Bits of a mantissa that go beyond a half float's.
+const BEYOND: u32 = 13;
+
+/// Rounds numbers to 11 significant bits, 4.9e-4 of each at most: the rest is noise in anything measured, and most of the
+/// size of a file that is compressed without loss. Where half floats have the range for all of them, they are such
+/// afterwards.
+pub fn round_to_halves(values: &mut [f32]) {
+    let largest = values.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+    let fit = (HALVES[0]..=HALVES[1]).contains(&largest);
+    for value in values {
+        *value = if fit {
+            f16::from_f32(*value).to_f32()
+        } else {
+            to_11_bits(*value)
+        };
+    }
+}
+
+fn to_11_bits(value: f32) -> f32 {
+    let half_step = 1 << (BEYOND - 1);
+    let bits = value.to_bits().saturating_add(half_step) & !((1 << BEYOND) - 1);
+    let rounded = f32::from_bits(bits);
     if rounded.is_finite() { rounded } else { value }
 }
 
@@ -17,16 +35,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rounding_keeps_fourteen_bits_of_anything() {
-        for value in [0.1_f32, -3.7, 1e-38, 6.5e4, f32::MAX, 1.0 / 3.0, -1e30] {
-            let rounded = to_14_bits(value);
-            assert!(
-                (rounded / value - 1.0).abs() <= 6.2e-5,
-                "{value}: {rounded}"
-            );
-            assert_eq!(to_14_bits(rounded), rounded, "{value} rounded twice");
+    fn rounding_keeps_eleven_bits_at_any_scale() {
+        let numbers = [0.1_f32, -3.7, 2.5e-3, 0.0, 1.0 / 3.0, -0.9];
+        for scale in [1e-30, 1e-4, 1.0, 1e4, 1e30] {
+            let exact = numbers.map(|n| n * scale);
+            let mut rounded = exact;
+            round_to_halves(&mut rounded);
+            for (r, e) in rounded.iter().zip(exact) {
+                assert!((r - e).abs() <= 4.9e-4 * e.abs(), "{e} became {r}");
+            }
+            let once = rounded;
+            round_to_halves(&mut rounded);
+            assert_eq!(rounded, once, "rounded twice, at scale {scale}");
         }
-        assert_eq!(to_14_bits(0.0), 0.0);
-        assert_eq!(to_14_bits(-0.0).to_bits(), (-0.0_f32).to_bits());
+        let mut extreme = [f32::MAX, 1e-38];
+        round_to_halves(&mut extreme);
+        assert!(extreme[0].is_finite());
+    }
+
+    #[test]
+    fn common_radiances_become_half_floats() {
+        let mut values: Vec<f32> = (0..1000).map(|i| i as f32 * 0.013).collect();
+        round_to_halves(&mut values);
+        assert!(values.iter().all(|&v| f16::from_f32(v).to_f32() == v));
     }
 }

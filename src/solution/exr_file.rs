@@ -1,4 +1,4 @@
-//! Pictures and textures as EXR files, 32-bit float, lossless.
+//! Pictures and textures as EXR files, lossless: as half floats where all numbers are such, else as 32-bit floats.
 
 use std::io;
 use std::path::Path;
@@ -23,40 +23,56 @@ fn encoding() -> Encoding {
 
 /// Writes RGB, row by row from the top.
 pub fn write_rgb(path: &Path, width: u32, rgb: &[[f32; 3]]) -> io::Result<()> {
-    let width = width as usize;
-    let channels = SpecificChannels::rgb(|at: Vec2<usize>| {
-        let [r, g, b] = rgb[at.1 * width + at.0];
-        (r, g, b)
-    });
-    Image::from_encoded_channels((width, rgb.len() / width.max(1)), encoding(), channels)
-        .write()
-        .to_file(path)
-        .map_err(to_io)
+    write(path, width, rgb_planes(rgb))
 }
 
 /// Writes RGBA, row by row from the top; RGB is premultiplied by alpha.
 pub fn write_rgba(path: &Path, width: u32, rgb: &[[f32; 3]], alpha: &[f32]) -> io::Result<()> {
-    let width = width as usize;
-    let channels = SpecificChannels::rgba(|at: Vec2<usize>| {
-        let [r, g, b] = rgb[at.1 * width + at.0];
-        (r, g, b, alpha[at.1 * width + at.0])
-    });
-    Image::from_encoded_channels((width, rgb.len() / width.max(1)), encoding(), channels)
-        .write()
-        .to_file(path)
-        .map_err(to_io)
+    let mut planes = rgb_planes(rgb);
+    planes.push(("A", alpha.to_vec()));
+    write(path, width, planes)
 }
 
 /// Writes one channel, Y, row by row from the top.
 pub fn write_gray(path: &Path, width: u32, values: &[f32]) -> io::Result<()> {
+    write(path, width, vec![("Y", values.to_vec())])
+}
+
+fn rgb_planes(rgb: &[[f32; 3]]) -> Vec<(&'static str, Vec<f32>)> {
+    let plane = |c: usize| rgb.iter().map(|pixel| pixel[c]).collect();
+    vec![("R", plane(0)), ("G", plane(1)), ("B", plane(2))]
+}
+
+fn write(path: &Path, width: u32, planes: Vec<(&str, Vec<f32>)>) -> io::Result<()> {
+    let count = planes.first().map_or(0, |(_, values)| values.len());
+    let halves = planes.iter().all(|(_, values)| are_halves(values));
+    let channels = planes
+        .into_iter()
+        .map(|(name, values)| {
+            let samples = if halves {
+                FlatSamples::F16(values.into_iter().map(f16::from_f32).collect())
+            } else {
+                FlatSamples::F32(values)
+            };
+            AnyChannel::new(name, samples)
+        })
+        .collect();
     let width = width as usize;
-    let channels = SpecificChannels::build()
-        .with_channel("Y")
-        .with_pixel_fn(|at: Vec2<usize>| (values[at.1 * width + at.0],));
-    Image::from_encoded_channels((width, values.len() / width.max(1)), encoding(), channels)
-        .write()
-        .to_file(path)
-        .map_err(to_io)
+    Image::from_encoded_channels(
+        (width, count / width.max(1)),
+        encoding(),
+        AnyChannels::sort(channels),
+    )
+    .write()
+    .to_file(path)
+    .map_err(to_io)
+}
+
+/// Whether half floats hold these numbers exactly.
+fn are_halves(values: &[f32]) -> bool {
+    values
+        .iter()
+        .all(|&v| f16::from_f32(v).to_f32().to_bits() == v.to_bits())
 }
 
 /// Checks that a file has the stated size before memory is taken for what its header announces.
@@ -137,5 +153,27 @@ mod tests {
         let gray: Vec<f32> = (0..12).map(|i| i as f32 / 7.0).collect();
         write_gray(&path, 4, &gray).unwrap();
         assert_eq!(read_gray(&path, 4, 3).unwrap(), gray);
+    }
+
+    #[test]
+    fn what_halves_hold_is_written_as_halves() {
+        let folder = tempfile::tempdir().unwrap();
+        let size = |name: &str, value: f32| {
+            let path = folder.path().join(name);
+            // Numbers that don't compress.
+            let rgb: Vec<[f32; 3]> = (0..4096_u32)
+                .map(|i| {
+                    let bits = i.wrapping_mul(2_654_435_761) >> 20;
+                    [(1024 + bits % 1024) as f32 * value; 3]
+                })
+                .collect();
+            write_rgb(&path, 64, &rgb).unwrap();
+            assert_eq!(read_rgb(&path, 64, 64).unwrap(), rgb, "{name}");
+            std::fs::metadata(&path).unwrap().len()
+        };
+        let (half, float) = (size("half.exr", 0.25), size("float.exr", 0.1));
+        assert!(half < float, "{half} bytes as halves, {float} as floats");
+        size("too_large.exr", 100.0);
+        size("too_small.exr", 1e-9);
     }
 }

@@ -14,7 +14,7 @@ use crate::estimate::{
 use crate::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
 };
-use crate::math::rounding::to_14_bits;
+use crate::math::rounding::round_to_halves;
 use crate::relight::{
     Interreflection, Scene, Shader, Surroundings, ViewFit, reconstruct, separate,
 };
@@ -128,7 +128,7 @@ pub fn solve(
 
     let lamps = name_lamps(&grid, &found);
     let light = lighting(&grid, &found.radiance, &lamps, Vec3::ZERO);
-    let (texture, albedo) = watched(observer, |watcher| {
+    let (mut texture, albedo) = watched(observer, |watcher| {
         let stop = watcher.stop();
         let mut observer = watcher;
         report(&mut observer, TEXTURE)?;
@@ -158,6 +158,7 @@ pub fn solve(
         Ok((texture, albedo))
     })?;
 
+    round_to_halves(&mut texture.confidence);
     let mut warnings = capture.warnings.clone();
     warnings.extend(atlas.warnings.iter().cloned());
     warnings.extend(found.diagnostics.warnings.iter().cloned());
@@ -182,15 +183,13 @@ pub fn solve(
         atlas,
         diffuse: rounded(texture.radiance),
         albedo: rounded(albedo.albedo),
-        confidence: texture.confidence.into_iter().map(to_14_bits).collect(),
+        confidence: texture.confidence,
         pictures,
     })
 }
 
 fn rounded(mut pixels: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
-    for value in pixels.iter_mut().flatten() {
-        *value = to_14_bits(*value);
-    }
+    round_to_halves(pixels.as_flattened_mut());
     pixels
 }
 
