@@ -1,9 +1,10 @@
 //! When the data can't say: no separation, no specular part, nothing that determines it.
 
 use super::fast::{CoarseFit, Fit};
-use super::observations::Observations;
+use super::observations::{Observations, Seen};
 use super::relief::RefinedSurface;
 use super::state::State;
+use super::weights::median;
 use crate::capture::Capture;
 
 /// Fewer surface points seen by two views than this are no basis for an estimate.
@@ -24,6 +25,11 @@ const MOST_UNEXPLAINED: f64 = 0.35;
 
 /// Part of what a coarse fit leaves on the capture's mesh that it may leave on a refined one for that to be used.
 const LEFT_ON_A_BETTER_SURFACE: f64 = 0.6;
+
+/// A lobe whose σ is below this part of the turn from pixel to pixel is not resolved: half of it is within one pixel.
+const LEAST_RESOLVED: f32 = 0.75;
+/// Pixels of a view whose turn is looked at, about.
+const TURNS_PER_VIEW: usize = 20_000;
 
 /// A lobe wider than this, in radians, is no highlight: it spans most of the hemisphere.
 const WIDEST_LOBE: f32 = 0.5;
@@ -114,6 +120,39 @@ pub fn misfit(fit: &Fit) -> Option<String> {
             100.0 * fit.unexplained
         )
     })
+}
+
+/// What to doubt about a lobe that is narrower than the normals that one pixel shows: pixels average the highlight away, and
+/// no one shows how bright or how wide it is.
+pub fn unresolved(seen: &Seen<'_>, fit: &Fit) -> Option<String> {
+    let turn = turn_per_pixel(seen);
+    (fit.brdf.sigma < LEAST_RESOLVED * turn).then(|| {
+        format!(
+            "The highlights are narrower than the pictures resolve: from one pixel to the next the surface turns by {:.1}°, and              the lobe's roughness comes out as {:.1}°. Roughness and lights are not to be trusted. Use larger pictures, or              come closer.",
+            turn.to_degrees(),
+            fit.brdf.sigma.to_degrees()
+        )
+    })
+}
+
+/// Median angle between the normals of neighbouring pixels inside the object, radians.
+fn turn_per_pixel(seen: &Seen<'_>) -> f32 {
+    let mut turns = Vec::new();
+    for (view, surface) in seen.views.iter().zip(seen.surfaces) {
+        // An odd step falls on all columns in turn.
+        let step = surface.interior.len().div_ceil(TURNS_PER_VIEW) | 1;
+        for i in (0..surface.interior.len().saturating_sub(1)).step_by(step) {
+            let (x, y) = (i as u32 % surface.width, i as u32 / surface.width);
+            if x + 1 == surface.width || !surface.interior[i] || !surface.interior[i + 1] {
+                continue;
+            }
+            let normal = |x| Some(surface.point(seen.mesh, &view.camera, x, y)?.normal);
+            if let (Some(here), Some(next)) = (normal(x), normal(x + 1)) {
+                turns.push(here.angle_between(next));
+            }
+        }
+    }
+    median(&mut turns)
 }
 
 /// Why roughness and lighting are not determined by a fit, if they aren't.

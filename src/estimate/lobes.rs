@@ -313,9 +313,10 @@ impl<'a> Run<'a> {
     fn is_in_lobe(&self) -> bool {
         let least = self.lobes.least_cos_squared;
         let mut inside = [0_u32; RUN];
-        for c in 0..RUN {
+        for (c, inside) in inside.iter_mut().enumerate() {
             let (sum, squared) = self.terms.half(self.direction(c), self.cos_light[c]);
-            inside[c] = u32::from((sum * sum >= least * squared) & (self.cos_light[c] > 0.0));
+            let near = sum * sum >= least * squared;
+            *inside = u32::from(near) & u32::from(self.cos_light[c] > 0.0);
         }
         inside.iter().fold(0, |any, i| any | i) != 0
     }
@@ -324,12 +325,12 @@ impl<'a> Run<'a> {
     fn values<const MICROFACET: bool>(&self) -> [f32; RUN] {
         let model = const { model::<MICROFACET>() };
         let mut value = [0.0; RUN];
-        for c in 0..RUN {
+        for (c, value) in value.iter_mut().enumerate() {
             let facets = self
                 .terms
                 .facets(model, self.direction(c), self.cos_light[c]);
             let density = facets.density(self.inverse_variance[c]);
-            value[c] = self.strength[c] * self.terms.scale() * density;
+            *value = self.strength[c] * self.terms.scale() * density;
         }
         value
     }

@@ -219,7 +219,7 @@ fn run(
     };
     result.chosen_because = because;
     let ended = watch.observer.enough();
-    accept(&mut result, fit);
+    accept(&mut result, &seen, fit);
     if ended {
         let warnings = &mut result.diagnostics.warnings;
         warnings.push(diagnose::ENDED_EARLY.to_owned());
@@ -290,7 +290,7 @@ fn alternate(
 }
 
 /// Takes over a fit if the data determine it.
-fn accept(result: &mut Estimate, fit: Fit) {
+fn accept(result: &mut Estimate, seen: &Seen<'_>, fit: Fit) {
     if let Some(reason) = diagnose::undetermined(&fit) {
         result.diagnostics.warnings.push(reason);
         return;
@@ -298,10 +298,12 @@ fn accept(result: &mut Estimate, fit: Fit) {
     let sigma = fit.brdf.sigma;
     let half_width = 1.96 * fit.sigma_error;
     let misfit = diagnose::misfit(&fit);
-    result.diagnostics.well_posed = misfit.is_none();
+    let unresolved = diagnose::unresolved(seen, &fit);
+    result.diagnostics.well_posed = misfit.is_none() && unresolved.is_none();
     let refined = result.refined.as_ref().map(diagnose::refined);
     result.diagnostics.warnings.extend(refined);
     result.diagnostics.warnings.extend(misfit);
+    result.diagnostics.warnings.extend(unresolved);
     result.diagnostics.specular_found = true;
     result.sigma_interval95 = Some([(sigma - half_width).max(0.0), sigma + half_width]);
     result.brdf = Some(fit.brdf);
