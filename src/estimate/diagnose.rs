@@ -26,8 +26,8 @@ const MOST_UNEXPLAINED: f64 = 0.35;
 /// Part of what a coarse fit leaves on the capture's mesh that it may leave on a refined one for that to be used.
 const LEFT_ON_A_BETTER_SURFACE: f64 = 0.6;
 
-/// A lobe whose σ is below this part of the turn from pixel to pixel is not resolved: half of it is within one pixel.
-const LEAST_RESOLVED: f32 = 0.75;
+/// A lobe whose σ is below this part of the turn from pixel to pixel is not resolved: most of it is within one pixel.
+const LEAST_RESOLVED: f32 = 1.0;
 /// Pixels of a view whose turn is looked at, about.
 const TURNS_PER_VIEW: usize = 20_000;
 

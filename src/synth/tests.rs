@@ -13,7 +13,7 @@ use crate::bench::{FoundLamp, Measures, Truth};
 use crate::capture::{Capture, Mesh, read_cameras, read_covered};
 use crate::estimate::{EstimateParams, Unobserved};
 use crate::preflight::{self, Severity};
-use crate::solution::{SolveOptions, solve};
+use crate::solution::{Solution, SolveOptions, solve};
 
 /// A ball under two lamps, small enough to be made in no time.
 fn small() -> Recipe {
@@ -324,6 +324,49 @@ fn what_cannot_be_made_leaves_everything_as_it_was() {
     assert!(into.join("mine").exists());
 }
 
+fn solved(folder: &TempDir) -> Solution {
+    let options = SolveOptions {
+        estimate: EstimateParams::default(),
+        frequency: 40,
+        radius: None,
+    };
+    solve(&load(folder), &options, 0.0, &mut Unobserved).unwrap()
+}
+
+#[test]
+fn highlights_that_a_float_picture_clips_are_left_out() {
+    let folder = made(|recipe| {
+        recipe.object = Object::Torus;
+        recipe.triangles = 20_000;
+        recipe.material = Material::paper(0.1, 0.4);
+        recipe.sensor.saturated = 0.5;
+        recipe.views.count = 6;
+        recipe.views.size = [160, 120];
+    });
+    let found = solved(&folder);
+    let sigma = found.brdf.expect("a specular part").sigma;
+    assert!((sigma / 0.1 - 1.0).abs() < 0.02, "roughness {sigma}");
+    assert!(found.diagnostics.well_posed);
+}
+
+#[test]
+fn a_lobe_narrower_than_a_pixel_is_not_trusted() {
+    let folder = made(|recipe| {
+        recipe.material = Material::paper(0.025, 0.4);
+        recipe.views.count = 6;
+        recipe.views.supersampling = 4;
+    });
+    let found = solved(&folder);
+    let warnings = &found.diagnostics.warnings;
+    assert!(!found.diagnostics.well_posed, "{:?}", found.brdf);
+    assert!(
+        warnings
+            .iter()
+            .any(|w| w.contains("narrower than the pictures resolve")),
+        "{warnings:?}"
+    );
+}
+
 #[test]
 fn an_estimate_finds_what_was_put_in() {
     let folder = made(|recipe| {
@@ -337,14 +380,8 @@ fn an_estimate_finds_what_was_put_in() {
         lamps.tint = 0.4;
         lamps.distance = Some(4.0);
     });
-    let capture = load(&folder);
     let truth = Truth::load(&folder.path().join("made")).unwrap();
-    let options = SolveOptions {
-        estimate: EstimateParams::default(),
-        frequency: 40,
-        radius: None,
-    };
-    let found = solve(&capture, &options, 0.0, &mut Unobserved).unwrap();
+    let found = solved(&folder);
     let lamps: Vec<FoundLamp> = found
         .lamps
         .iter()
