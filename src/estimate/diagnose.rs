@@ -38,8 +38,9 @@ const WIDEST_LOBE: f32 = 0.5;
 const LEAST_SHARPNESS: f64 = 0.05;
 
 /// What is said where no specular part is found.
-pub const NO_SPECULAR: &str = "No specular part was found: the views differ by no more than noise, as those of a purely diffuse object \
-    do. Everything is taken as diffuse; without highlights the lighting can't be recovered.";
+pub const NO_SPECULAR: &str = "No specular part was found: no lights explain how the views differ. Either the object is purely diffuse, \
+    or its highlights are smaller than a pixel or clipped, or the cameras are off by more than a highlight is wide. Everything is \
+    taken as diffuse; without highlights the lighting can't be recovered.";
 
 /// Why diffuse and specular parts can't be told apart in this capture, if they can't.
 pub fn unseparable(capture: &Capture, observations: &Observations) -> Option<String> {

@@ -23,13 +23,11 @@ const LIT: f32 = 0.06;
 /// Texels less confident than this count as never seen.
 const SEEN: f32 = 0.01;
 
-/// The albedo and what it was made from.
+/// The albedo and the ambient light.
 #[derive(Clone, Debug)]
 pub struct Albedo {
     /// Pseudo-albedo of each texel, RGB; with `K_S`-scaled light its scale is that of `K_D / K_S`.
     pub albedo: Vec<[f32; 3]>,
-    /// Irradiance of each texel under the light of the capture.
-    pub irradiance: Vec<[f32; 3]>,
     /// Ambient radiance, RGB, K_S-scaled.
     pub ambient: Vec3,
 }
@@ -85,7 +83,6 @@ pub fn separate(
     }
     Albedo {
         albedo: albedo.iter().map(Vec3::to_array).collect(),
-        irradiance: irradiance.iter().map(Vec3::to_array).collect(),
         ambient,
     }
 }
