@@ -76,22 +76,32 @@ fn curves(runs: &[&Run], error: fn(&Errors) -> Option<f64>) -> Vec<Curve> {
 
 fn draw_panel(area: &DrawingArea<SVGBackend<'_>, Shift>, caption: &str, curves: &[Curve]) -> Drawn {
     let points = || curves.iter().flat_map(|curve| &curve.points);
-    let longest = points().map(|p| p.0).fold(0.1, f64::max);
-    let lowest = points().map(|p| p.1).fold(1.0, f64::min);
-    let highest = points().map(|p| p.1).fold(lowest, f64::max);
+    // Whole powers of ten, so that the labels are such.
+    let decades = |of: fn(&(f64, f64)) -> f64| {
+        let lowest = points().map(of).fold(f64::INFINITY, f64::min);
+        let highest = points().map(of).fold(lowest, f64::max);
+        let lowest = if lowest > 0.0 && lowest.is_finite() {
+            lowest
+        } else {
+            0.1
+        };
+        let from = lowest.log10().floor() as i32;
+        let to = highest.max(lowest).log10().ceil() as i32;
+        10.0_f64.powi(from)..10.0_f64.powi(to.max(from + 1))
+    };
     let mut chart = ChartBuilder::on(area)
         .caption(caption, ("sans-serif", 16))
         .margin(8)
         .x_label_area_size(34)
         .y_label_area_size(58)
-        .build_cartesian_2d(
-            0.0..1.03 * longest,
-            (0.7 * lowest..1.5 * highest.max(2.0 * lowest)).log_scale(),
-        )?;
+        .build_cartesian_2d(decades(|p| p.0).log_scale(), decades(|p| p.1).log_scale())?;
     chart
         .configure_mesh()
         .light_line_style(WHITE)
         .x_desc("seconds")
+        .x_labels(6)
+        .x_label_formatter(&|v| format!("{v}"))
+        .y_labels(6)
         .y_label_formatter(&|v| format!("{v:.0e}"))
         .draw()?;
     for curve in curves {
