@@ -2,18 +2,14 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod command;
+
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 
+use command::rekindle;
 use serde_json::Value;
-
-fn rekindle(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rekindle"))
-        .args(arguments)
-        .output()
-        .expect("the program starts")
-}
 
 fn capture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))

@@ -2,15 +2,11 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+mod command;
 
-fn rekindle(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rekindle"))
-        .args(arguments)
-        .output()
-        .expect("the program starts")
-}
+use std::path::{Path, PathBuf};
+
+use command::rekindle;
 
 /// Fails unless the program refuses with status 2 and one line, which is returned.
 fn refused(arguments: &[&str]) -> String {

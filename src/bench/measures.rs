@@ -5,6 +5,7 @@ use glam::Vec3;
 
 use super::truth::{TrueLamp, Truth};
 use crate::hemisphere::{HemisphereGrid, find_lamps};
+use crate::solution::SolutionLamp;
 
 /// Blur, radians, with which hemispheres are compared: coarser than nodes, finer than lamps' distances.
 const BLUR: f32 = 0.05;
@@ -22,6 +23,15 @@ pub struct FoundLamp {
     pub direction: Vec3,
     /// Radiance × solid angle, RGB.
     pub flux: Vec3,
+}
+
+impl From<&SolutionLamp> for FoundLamp {
+    fn from(lamp: &SolutionLamp) -> Self {
+        Self {
+            direction: lamp.direction,
+            flux: lamp.flux,
+        }
+    }
 }
 
 /// Errors of an estimate; `None` where truth or estimate has nothing to compare.

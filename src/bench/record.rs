@@ -143,14 +143,7 @@ pub(super) fn record(
             errors: measures.of_nodes(heard.iteration.sigma, grid, &heard.radiance),
         })
         .collect();
-    let found: Vec<FoundLamp> = solution
-        .lamps
-        .iter()
-        .map(|lamp| FoundLamp {
-            direction: lamp.direction,
-            flux: lamp.flux,
-        })
-        .collect();
+    let found: Vec<FoundLamp> = solution.lamps.iter().map(Into::into).collect();
     let sigma = solution.brdf.map(|brdf| brdf.sigma);
     let mut stages = solution.timings.clone();
     // Iterations are heard during the estimation.

@@ -129,7 +129,7 @@ struct FaultArgs {
     /// Standard deviation of the photon noise at the object's mean radiance, percent of it
     #[arg(long, value_name = "PERCENT", default_value_t = 0.0, value_parser = within::<0, 100>)]
     noise: f32,
-    /// Part of the highlights' pixels that are clipped, percent. EXR files don't tell which, brackets do
+    /// Part of the highlights' pixels that are clipped, percent. Brackets tell which; in EXR files they are a plateau
     #[arg(long, value_name = "PERCENT", default_value_t = 0.0, value_parser = within::<0, 100>)]
     saturated: f32,
     /// Part of the object's pixels that show something unrelated, percent

@@ -12,6 +12,7 @@
 use glam::{Vec2, Vec3, Vec3A, Vec4};
 use rayon::prelude::*;
 
+use super::measure::psnr;
 use super::render::{Scene, specular_band};
 use super::samples::{Samples, bands};
 use super::shading::Shader;
@@ -374,37 +375,22 @@ impl Footprints {
 
     fn fit(&self, view: &View, texture: &[Vec3A], size: [usize; 2]) -> ViewFit {
         let coverage = view.photograph.coverage.as_deref();
-        let measured: Vec<Vec3> = (0..self.pixels.len())
-            .map(|i| Vec3::from(view.photograph.radiance[self.pixels[i] as usize]))
-            .collect();
         let inside: Vec<usize> = (0..self.pixels.len())
             .filter(|&i| coverage.is_none_or(|c| c[self.pixels[i] as usize] > 0.999))
             .collect();
-        let mut means: Vec<f32> = inside
+        let measured: Vec<Vec3> = inside
             .iter()
-            .map(|&i| measured[i].element_sum() / 3.0)
+            .map(|&i| Vec3::from(view.photograph.radiance[self.pixels[i] as usize]))
             .collect();
-        let white = if means.is_empty() {
-            1.0
-        } else {
-            let at = (means.len() - 1) * 199 / 200;
-            means
-                .select_nth_unstable_by(at, f32::total_cmp)
-                .1
-                .max(1e-30)
-        };
-        let (mut squared, mut encoded) = (0.0_f64, 0.0_f64);
-        for &i in &inside {
-            let rendered = self.predict(i, texture, size) + self.specular[i];
-            squared += f64::from((rendered - measured[i]).length_squared());
-            let difference = srgb(rendered / white) - srgb(measured[i] / white);
-            encoded += f64::from(difference.length_squared());
-        }
-        let count = 3 * inside.len();
+        let rendered: Vec<Vec3> = inside
+            .iter()
+            .map(|&i| self.predict(i, texture, size) + self.specular[i])
+            .collect();
+        let differences = rendered.iter().zip(&measured).map(|(r, m)| *r - *m);
         ViewFit {
-            squared,
-            count,
-            psnr_db: (-10.0 * (encoded / count.max(1) as f64).max(1e-12).log10()) as f32,
+            squared: differences.map(|d| f64::from(d.length_squared())).sum(),
+            count: 3 * inside.len(),
+            psnr_db: psnr(&measured, &rendered),
         }
     }
 }

@@ -382,14 +382,7 @@ fn an_estimate_finds_what_was_put_in() {
     });
     let truth = Truth::load(&folder.path().join("made")).unwrap();
     let found = solved(&folder);
-    let lamps: Vec<FoundLamp> = found
-        .lamps
-        .iter()
-        .map(|lamp| FoundLamp {
-            direction: lamp.direction,
-            flux: lamp.flux,
-        })
-        .collect();
+    let lamps: Vec<FoundLamp> = found.lamps.iter().map(Into::into).collect();
     let measures = Measures::new(&truth, found.grid.up);
     let sigma = found.brdf.map(|brdf| brdf.sigma);
     let errors = measures.errors(sigma, &lamps, &found.grid, &found.radiance);

@@ -26,7 +26,6 @@ use crate::worker::{Latest, Rendered, Shot, Subject, Worker};
 use compare::{Compare, Kind};
 use display::{Display, Linear};
 use eframe::egui_wgpu::RenderState;
-use eframe::wgpu;
 use gpu::GpuPicture;
 use histogram::Histogram;
 
@@ -34,8 +33,6 @@ use histogram::Histogram;
 const LONGEST: f32 = 400.0;
 /// The same while the view moves.
 const LONGEST_MOVING: f32 = 180.0;
-/// While things move, a graphics driver without a graphics card draws pixels that are so much larger.
-const COARSE: u32 = 2;
 /// Stops by which a key changes the exposure.
 const STEP: f32 = 0.5;
 /// Most stops.
@@ -532,9 +529,14 @@ impl Viewport {
         } else {
             Background::Colour(self.look.background.map(|v| f32::from(v) / 255.0))
         };
+        if self.gpu.is_none() {
+            self.gpu = Some(GpuPicture::new(state, ctx)?);
+        }
+        let Some(gpu) = &mut self.gpu else {
+            return Ok(None);
+        };
         let moving = scene.dragging || self.navigation.is_moving();
-        let software = state.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
-        let coarse = if moving && software { COARSE } else { 1 };
+        let coarse = if moving { gpu.coarse } else { 1 };
         let request = FrameRequest {
             camera: camera.resized(
                 camera.width.div_ceil(coarse),
@@ -548,12 +550,6 @@ impl Viewport {
             transform: self.look.transform,
             background,
             dragging: scene.dragging,
-        };
-        if self.gpu.is_none() {
-            self.gpu = Some(GpuPicture::new(state, ctx)?);
-        }
-        let Some(gpu) = &mut self.gpu else {
-            return Ok(None);
         };
         if !gpu.prepare(scene.worker, solution)? {
             return Ok(None);
