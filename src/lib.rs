@@ -9,6 +9,7 @@ mod damage;
 pub mod estimate;
 pub mod export;
 pub mod hemisphere;
+pub mod interchange;
 pub mod math;
 pub mod preflight;
 pub mod relight;

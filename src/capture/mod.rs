@@ -16,12 +16,14 @@ mod ply;
 mod polygon;
 #[cfg(test)]
 mod tests;
+mod write_cameras;
 
 pub use camera::{Camera, Distortion};
 pub use demo::{DEMO, unpack_demo};
 pub use error::CaptureError;
 pub use load::{Covered, PixelCounts, read_cameras, read_covered, read_radiance};
 pub use mesh::{Mesh, SurfacePoint};
+pub use write_cameras::{camera_matrix, transforms};
 
 use glam::DVec3;
 

@@ -3,6 +3,7 @@
 
 mod bench;
 mod demo;
+mod export;
 mod gui;
 mod info;
 mod info_solution;
@@ -67,6 +68,10 @@ enum Command {
     Solve(solve::SolveArgs),
     /// Render a solution from other viewpoints and under other light
     Render(render::RenderArgs),
+    /// Write a solution's object and light for other programs
+    ///
+    /// Without --for: light maps and lists, cameras, scenes for Blender and Mitsuba, glTF, USD and OBJ.
+    Export(export::ExportArgs),
     /// Make a capture with known truth, to study the estimation with
     ///
     /// The folder is like a photographed capture, with the truth beside it: what `rekindle bench` compares with. The
@@ -117,6 +122,7 @@ fn execute(cli: &Cli) -> anyhow::Result<()> {
         Some(Command::Demo) => demo::run(cli.output),
         Some(Command::Solve(args)) => solve::run(args, cli.output),
         Some(Command::Render(args)) => render::run(args, cli.output),
+        Some(Command::Export(args)) => export::run(args, cli.output),
         Some(Command::Synth(args)) => synth::run(args, cli.output),
         Some(Command::Bench(args)) => bench::run(args, cli.output),
         Some(Command::Info { path }) => {

@@ -2,13 +2,14 @@
 
 mod cluster;
 mod grid;
+mod lat_long;
 mod partial;
 mod picture;
 
 pub use cluster::{Lamp, find_lamps, rest};
 pub use grid::HemisphereGrid;
-pub use partial::{InitialHemisphere, PartialHemisphere, SpecularImage};
-pub use picture::{
-    Exposure, FromAbove, Picture, direction_from_lat_long, from_above_axes, lat_long,
-    lat_long_from_direction, srgb,
+pub use lat_long::{
+    SkyPiece, direction_from_lat_long, lat_long, lat_long_from_direction, lat_long_of,
 };
+pub use partial::{InitialHemisphere, PartialHemisphere, SpecularImage};
+pub use picture::{Exposure, FromAbove, Picture, from_above_axes, srgb};

@@ -87,6 +87,7 @@ fn solved(brdf: Option<Brdf>, radius: Option<f32>) -> Solution {
         fit: Fit::default(),
         timings: Vec::new(),
         convergence: Vec::new(),
+        cameras: Vec::new(),
         confidence,
         diffuse: albedo.clone(),
         albedo,

@@ -165,9 +165,9 @@ pub fn write_plain_obj(path: &Path, mesh: &Mesh) -> io::Result<()> {
     fs::write(path, text)
 }
 
-/// Writes a Wavefront OBJ file.
-pub fn write_obj(path: &Path, mesh: &Mesh, corner_uvs: &[[Vec2; 3]]) -> io::Result<()> {
-    let mut text = String::from("# written by rekindle; texture diffuse.exr\n");
+/// Writes a Wavefront OBJ file that begins with the lines `head`.
+pub fn write_obj(path: &Path, head: &str, mesh: &Mesh, corner_uvs: &[[Vec2; 3]]) -> io::Result<()> {
+    let mut text = head.to_owned();
     obj_vertices(&mut text, mesh);
     for uv in corner_uvs.iter().flatten() {
         let _ = writeln!(text, "vt {} {}", uv.x, uv.y);

@@ -6,6 +6,7 @@
 //! | `nodes.json` | radiance of every lit node, exact, and the lamps' nodes |
 //! | `hemisphere.exr` | the lighting as a lat-long picture |
 //! | `hemispheres/*.exr` | initial hemisphere and those of single views, seen from above |
+//! | `cameras.json` | from where the photographs were taken, as a `transforms.json` without photographs |
 //! | `mesh.ply`, `mesh.obj` | the surface with texture coordinates |
 //! | `diffuse.exr`, `albedo.exr`, `confidence.exr` | textures: diffuse radiance, pseudo-albedo, how far each texel is known |
 
@@ -19,7 +20,7 @@ mod staging;
 pub use error::SolutionError;
 pub use exr_file::{write_rgb, write_rgba};
 pub use format::Fit;
-pub use mesh_file::write_plain_obj;
+pub use mesh_file::{write_obj, write_plain_obj};
 pub use solve::{SolveOptions, solve};
 pub use staging::{Staging, abandon_unfinished};
 
@@ -31,7 +32,7 @@ use std::time::Instant;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use crate::capture::Mesh;
+use crate::capture::{Camera, Mesh, read_cameras, transforms};
 use crate::estimate::{Brdf, Diagnostics, Iteration, Method};
 use crate::hemisphere::{HemisphereGrid, Picture, lat_long};
 use crate::relight::{LampNodes, LightNode, Lighting};
@@ -40,6 +41,8 @@ use format::{FORMAT, Head, Hemisphere, Light, Manifest, Nodes, Texture, VERSION}
 
 /// Rows of the lat-long picture: a node is some three pixels tall at frequency 70.
 const LATLONG_ROWS: u32 = 512;
+/// First line of the mesh as OBJ.
+const OBJ_HEAD: &str = "# written by rekindle; texture diffuse.exr\n";
 /// Lit nodes outside all lamps that are kept apart.
 const MAX_STRAYS: usize = 24;
 /// Nodes outside all lamps that together have no more than this part of the flux, the weakest, are left dark: their
@@ -98,6 +101,8 @@ pub struct Solution {
     pub timings: Vec<(String, f64)>,
     /// The estimation's iterations.
     pub convergence: Vec<Iteration>,
+    /// From where the photographs were taken, with their names; none in solutions that were written before these were kept.
+    pub cameras: Vec<(String, Camera)>,
     /// The surface; its texture coordinates are the atlas's.
     pub mesh: Mesh,
     /// Where each triangle lies in the textures.
@@ -186,7 +191,7 @@ impl Solution {
             Box::new(|| {
                 exr_file::write_gray(&folder.join("confidence.exr"), width, &self.confidence)
             }),
-            Box::new(|| mesh_file::write_obj(&folder.join("mesh.obj"), &self.mesh, &uvs)),
+            Box::new(|| write_obj(&folder.join("mesh.obj"), OBJ_HEAD, &self.mesh, &uvs)),
             Box::new(|| mesh_file::write_ply(&folder.join("mesh.ply"), &self.mesh, &uvs)),
             Box::new(|| {
                 let picture = lat_long(&self.grid, &self.radiance, LATLONG_ROWS);
@@ -206,6 +211,13 @@ impl Solution {
                 })
             }),
             Box::new(|| write_json(&folder.join("nodes.json"), &self.nodes(), false)),
+            Box::new(|| {
+                if self.cameras.is_empty() {
+                    return Ok(());
+                }
+                let cameras = transforms(&self.cameras);
+                write_json(&folder.join("cameras.json"), &cameras, true)
+            }),
         ];
         jobs.into_par_iter().try_for_each(|job| job())?;
         let mut timings = self.timings.clone();
@@ -221,8 +233,8 @@ impl Solution {
         Ok(timings)
     }
 
-    /// Texture coordinates as files have them: in [0, 1], v upwards.
-    fn stored_uvs(&self) -> Vec<[Vec2; 3]> {
+    /// Texture coordinates as files have them, of each triangle's corners: in [0, 1], v upwards.
+    pub fn stored_uvs(&self) -> Vec<[Vec2; 3]> {
         let size = Vec2::new(self.atlas.width as f32, self.atlas.height as f32);
         self.atlas
             .corner_uvs
@@ -338,6 +350,7 @@ impl Solution {
             },
         );
         let mesh = mesh.map_err(|what| damaged("mesh.ply", what))?;
+        let cameras = read_stored_cameras(&folder.join("cameras.json"));
         let size = Vec2::new(width as f32, height as f32);
         let corner_uvs = mesh
             .corner_uvs
@@ -376,6 +389,7 @@ impl Solution {
                 .map(|(stage, seconds)| (stage, seconds.as_f64().unwrap_or(0.0)))
                 .collect(),
             convergence: manifest.convergence,
+            cameras: cameras.map_err(|what| damaged("cameras.json", what))?,
             mesh: Mesh {
                 positions: mesh.mesh.positions,
                 normals: mesh.mesh.normals,
@@ -532,6 +546,15 @@ fn read_manifest(folder: &Path, path: &Path) -> Result<Manifest, SolutionError> 
     read_json(path)
 }
 
+/// The cameras of a solution; the error says what is wrong with the file.
+fn read_stored_cameras(path: &Path) -> Result<Vec<(String, Camera)>, String> {
+    if path.is_file() {
+        read_cameras(path).map_err(|e| e.to_string())
+    } else {
+        Ok(Vec::new())
+    }
+}
+
 /// Radiance of every node, and the lamps' nodes.
 #[expect(
     clippy::type_complexity,
@@ -622,8 +645,28 @@ fn check_manifest(manifest: &Manifest) -> Result<HemisphereGrid, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::Distortion;
     use crate::damage::{Random, damaged};
     use crate::estimate::SpecularModel;
+    use glam::{DAffine3, DQuat, DVec2, DVec3};
+
+    fn camera() -> Camera {
+        Camera {
+            width: 64,
+            height: 48,
+            focal: DVec2::new(70.1, 71.3),
+            centre: DVec2::new(31.7, 24.9),
+            distortion: Distortion {
+                k: [0.1, -0.02, 0.003, 0.0],
+                p: [1e-3, -2e-3],
+                denominator: [0.04, 0.05, 0.06],
+            },
+            world_from_camera: DAffine3::from_rotation_translation(
+                DQuat::from_rotation_x(0.3),
+                DVec3::new(1.0, 2.0, 3.0),
+            ),
+        }
+    }
 
     fn example() -> Solution {
         let grid = HemisphereGrid::new(4, Vec3::Y, Some(3.0), Vec3::new(0.1, 0.2, 0.3));
@@ -664,6 +707,7 @@ mod tests {
             fit: Fit::default(),
             timings: Vec::new(),
             convergence: Vec::new(),
+            cameras: vec![("images/a.exr".to_owned(), camera())],
             mesh,
             atlas: Atlas::from_corners(4, 4, vec![corners], false),
             diffuse: (0..16).map(|i| [i as f32 * 0.1; 3]).collect(),
@@ -689,6 +733,12 @@ mod tests {
         assert_eq!(read.confidence, saved.confidence);
         assert_eq!(read.mesh.positions, saved.mesh.positions);
         assert_eq!(read.lighting(), saved.lighting());
+        let (name, seen) = &read.cameras[0];
+        assert_eq!(name, "images/a.exr");
+        assert_eq!(seen.distortion, camera().distortion);
+        let point = DVec3::new(0.9, 1.7, 0.4);
+        let (now, then) = (seen.project(point), camera().project(point));
+        assert!(now.unwrap().distance(then.unwrap()) < 1e-9, "{now:?}");
         for (a, b) in read.atlas.corner_uvs[0]
             .iter()
             .zip(&saved.atlas.corner_uvs[0])

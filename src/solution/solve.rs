@@ -179,6 +179,11 @@ pub fn solve(
         fit: summarise(&texture.fit),
         timings: clock.stages,
         convergence: found.convergence,
+        cameras: capture
+            .views
+            .iter()
+            .map(|view| (view.name.clone(), view.camera.clone()))
+            .collect(),
         mesh: mesh.clone(),
         atlas,
         diffuse: rounded(texture.radiance),

@@ -90,6 +90,7 @@ pub(crate) fn solution() -> Arc<Solution> {
         fit: Fit::default(),
         timings: Vec::new(),
         convergence: Vec::new(),
+        cameras: Vec::new(),
         confidence: vec![1.0; atlas.len()],
         mesh,
         atlas,

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use super::recipe::Files;
 use super::sensor::Exposed;
-use crate::capture::Camera;
+use crate::capture::{Camera, camera_matrix};
 use crate::math::random::Random;
 use crate::relight::{Picture, srgb};
 use crate::solution::write_rgba;
@@ -82,7 +82,7 @@ impl Folder {
             .iter()
             .zip(frames)
             .map(|(camera, Frame(mut frame))| {
-                frame["transform_matrix"] = matrix(camera);
+                frame["transform_matrix"] = camera_matrix(camera);
                 frame
             })
             .collect();
@@ -200,19 +200,6 @@ fn sum(picture: &Picture) -> Vec<[f32; 3]> {
     parts
         .map(|(&d, &s)| (Vec3::from(d) + Vec3::from(s)).to_array())
         .collect()
-}
-
-/// Camera-to-world matrix, row by row.
-fn matrix(camera: &Camera) -> Value {
-    let pose = camera.world_from_camera;
-    let mut rows: Vec<[f64; 4]> = (0..3)
-        .map(|i| {
-            let row = pose.matrix3.row(i);
-            [row.x, row.y, row.z, pose.translation[i]]
-        })
-        .collect();
-    rows.push([0.0, 0.0, 0.0, 1.0]);
-    json!(rows)
 }
 
 pub(super) fn write_json(path: &Path, value: &Value) -> io::Result<()> {

@@ -1,0 +1,160 @@
+//! `rekindle export`: a solution's object and light for other programs.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+
+use super::interrupt::{self, Interrupted};
+use super::progress::Progress;
+use super::render::check_output;
+use super::{OutputArgs, print_json, print_line};
+use crate::capture::read_cameras;
+use crate::interchange::{
+    Anchor, Asset, Form, Job, JobError, MapLayout, Orientation, USUAL_F0, export, reflectance,
+};
+use crate::relight;
+use crate::solution::{Solution, solution_folder};
+
+/// Arguments of `rekindle export`.
+#[derive(clap::Args)]
+pub(super) struct ExportArgs {
+    /// Folder of a solution
+    solution: PathBuf,
+    /// Folder for the files
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Only what these programs and forms need (default: everything)
+    #[arg(long = "for", value_name = "FORM", value_delimiter = ',')]
+    forms: Vec<Form>,
+    /// File with edits of the lighting
+    #[arg(long, value_name = "FILE")]
+    edits: Option<PathBuf>,
+    /// File with cameras, like a capture's transforms.json (default: those of the capture)
+    #[arg(long, value_name = "FILE")]
+    cameras: Option<PathBuf>,
+    /// Columns of the light maps; rows are half as many
+    #[arg(long, value_name = "PIXELS", default_value_t = 1024)]
+    size: u32,
+    /// Layout of light.exr and light.hdr; files of one program have its own
+    #[arg(long, value_enum, default_value_t)]
+    orientation: Orientation,
+    /// Turn of light.exr and light.hdr to the right, degrees
+    #[arg(
+        long,
+        value_name = "DEGREES",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    yaw: f32,
+    /// A light map for each lamp, and one of the rest
+    #[arg(long)]
+    per_lamp: bool,
+    /// A light map with marked axes: red +X, green +Y, blue +Z
+    #[arg(long)]
+    calibration: bool,
+    #[command(flatten)]
+    gauge: GaugeArgs,
+}
+
+/// What fixes the scale that the photographs leave open.
+#[derive(clap::Args)]
+#[group(multiple = false)]
+struct GaugeArgs {
+    /// Index of refraction of the surface (default: 1.5)
+    #[arg(long, value_name = "N")]
+    ior: Option<f32>,
+    /// Reflectance at normal incidence of the surface (default: 0.04)
+    #[arg(long, value_name = "F0")]
+    f0: Option<f32>,
+    /// Diffuse albedo of the object's brightest parts, instead
+    #[arg(long, value_name = "ALBEDO")]
+    white_albedo: Option<f32>,
+}
+
+impl GaugeArgs {
+    fn anchor(&self) -> anyhow::Result<Anchor> {
+        Ok(match (self.ior, self.f0, self.white_albedo) {
+            (Some(index), ..) if index > 1.0 && index <= 10.0 => Anchor::F0(reflectance(index)),
+            (Some(_), ..) => bail!("--ior must be more than 1 and at most 10, as 1.5 for plastic"),
+            (_, Some(f0), _) if f0 > 0.0 && f0 <= 0.9 => Anchor::F0(f0),
+            (_, Some(_), _) => {
+                bail!("--f0 must be more than 0 and at most 0.9, as 0.04 for plastic")
+            }
+            (.., Some(albedo)) if albedo > 0.0 && albedo <= 1.0 => Anchor::WhiteAlbedo(albedo),
+            (.., Some(_)) => bail!("--white-albedo must be more than 0 and at most 1"),
+            _ => Anchor::F0(USUAL_F0),
+        })
+    }
+}
+
+pub(super) fn run(args: &ExportArgs, output: OutputArgs) -> anyhow::Result<()> {
+    let anchor = args.gauge.anchor()?;
+    check_output(&args.output)?;
+    let mut progress = Progress::new(output);
+    progress.stage("reading the solution", 0.0);
+    let solution = Solution::load(solution_folder(&args.solution))?;
+    let edits = match &args.edits {
+        Some(path) => relight::load(path)?,
+        None => Vec::new(),
+    };
+    let cameras = match &args.cameras {
+        Some(path) => read_cameras(path)?,
+        None => solution.cameras.clone(),
+    };
+    let lighting = relight::apply(&edits, &solution.lighting())?;
+    interrupt::check()?;
+    let asset = Asset::new(&solution, &lighting, &cameras, anchor);
+    warn(&progress, &asset);
+    if cameras.is_empty() && args.forms.contains(&Form::Cameras) {
+        bail!(
+            "{}: the solution has no cameras; name a file with them by --cameras, or solve the capture again",
+            args.solution.display()
+        );
+    }
+    let forms: &[Form] = if args.forms.is_empty() {
+        &Form::ALL
+    } else {
+        &args.forms
+    };
+    let job = Job {
+        forms: forms.iter().copied().collect(),
+        layout: MapLayout {
+            width: args.size,
+            orientation: args.orientation,
+            yaw_deg: args.yaw,
+        },
+        per_lamp: args.per_lamp,
+        calibration: args.calibration,
+        folder: args.output.clone(),
+    };
+    let mut report = |what: &str, part: f32| progress.stage(&format!("writing {what}"), part);
+    let files =
+        export(&asset, &job, &interrupt::asked, &mut report).map_err(|error| match error {
+            JobError::Stopped => anyhow::Error::from(Interrupted),
+            other => other.into(),
+        })?;
+    progress.finish();
+    if output.json {
+        print_json(&serde_json::json!({ "files": files }));
+    } else if !output.quiet {
+        print_line(&format!("{}: {} files", args.output.display(), files.len()));
+    }
+    Ok(())
+}
+
+fn warn(progress: &Progress, asset: &Asset) {
+    if asset.material.f0 >= 0.9 {
+        progress.warn(
+            "with so high an albedo the surface would have to be a mirror; it is less, choose a smaller --white-albedo",
+        );
+    }
+    let (part, largest) = asset.too_bright();
+    if part > 0.0 {
+        progress.warn(&format!(
+            "{:.1} % of the texture would have to reflect more light than arrives, up to {largest:.2} times, and is cut; \
+             --f0 {:.3} or less leaves all of it below 1",
+            100.0 * part,
+            asset.material.f0 / largest
+        ));
+    }
+}
