@@ -122,6 +122,16 @@ pub enum CaptureError {
         /// What to do.
         advice: String,
     },
+    /// The exposure of a file of a bracket contradicts its pixels.
+    #[error("{path}: {problem}; {advice}")]
+    Exposure {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+        /// What to do.
+        advice: String,
+    },
     /// There is no mesh.
     #[error("{path}: {problem}; {advice}")]
     MeshMissing {

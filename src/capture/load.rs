@@ -1,8 +1,8 @@
 //! Reading a whole capture: manifest, images in parallel, mesh, and whether they belong together.
 
+use super::brackets::{self, Brackets, Merged, Part, Response, Settings, Table};
 use super::camera::Camera;
 use super::error::CaptureError;
-use super::exposures::{self, Part};
 use super::manifest::{Frame, Manifest};
 use super::mesh::Mesh;
 use super::picture::{self, Encoding, Picture};
@@ -24,10 +24,14 @@ impl Capture {
 
     /// Reads a capture and counts the bad pixels that its views had, one entry per view.
     pub fn load_counting(path: &Path) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
-        let manifest = Manifest::read(path)?;
-        exposures::check_scale(&manifest)?;
+        let mut manifest = Manifest::read(path)?;
+        let table = Table::beside(&manifest.folder)?;
+        brackets::settle(&mut manifest, &table)?;
+        let read = |frame: &Frame| read_frame(&manifest, frame);
+        let several = manifest.frames.iter().filter(|f| f.exposures.len() > 1);
+        let response = brackets::response(&several.collect::<Vec<_>>(), &|frame| read(frame))?;
         let ((frames, masks), mesh) = rayon::join(
-            || read_images(&manifest),
+            || read_images(&manifest, &response),
             || {
                 let mesh_path = manifest.mesh_path.as_deref();
                 let file = mesh_file::find(&manifest.folder, mesh_path, &manifest.path)?;
@@ -38,16 +42,29 @@ impl Capture {
         let mut warnings = Vec::new();
         let mut views = Vec::with_capacity(manifest.frames.len());
         let mut tally = Tally::default();
-        for ((frame, parts), mask) in manifest.frames.iter().zip(frames).zip(masks) {
+        let mut uses = Vec::new();
+        for ((frame, merged), mask) in manifest.frames.iter().zip(frames).zip(masks) {
+            let mut merged = merged?;
+            warnings.append(&mut merged.warnings);
+            uses.push(std::mem::take(&mut merged.uses));
+            let mask = mask?;
             views.push(make_view(
                 &manifest,
                 frame,
-                parts?,
-                mask?.as_ref(),
+                merged,
+                mask.as_ref(),
                 &mut tally,
             )?);
         }
         tally.report(&mut warnings);
+        let brackets = uses
+            .iter()
+            .any(|uses| !uses.is_empty())
+            .then_some(Brackets {
+                response,
+                views: uses,
+            });
+        warnings.extend(brackets.as_ref().and_then(Brackets::note));
         let (mesh_path, mesh, mesh_warnings) = mesh?;
         warnings.extend(mesh_warnings);
         place_cameras(&manifest, &mut views, &mesh, mesh_path, &mut warnings)?;
@@ -57,6 +74,7 @@ impl Capture {
             views,
             mesh,
             light_hemisphere,
+            brackets,
             warnings,
         };
         let counts = tally.pixels.into_iter().map(|(_, counts)| counts).collect();
@@ -136,17 +154,17 @@ fn name_of(folder: &Path) -> String {
     )
 }
 
-type Frames = Vec<Result<Vec<Part>, CaptureError>>;
+type Frames = Vec<Result<Merged, CaptureError>>;
 type Masks = Vec<Result<Option<Picture>, CaptureError>>;
 
-/// Decodes all images and masks in parallel, in the order of the frames.
-fn read_images(manifest: &Manifest) -> (Frames, Masks) {
+/// Decodes all images and masks in parallel, in the order of the frames, and merges those of several exposures.
+fn read_images(manifest: &Manifest, response: &Response) -> (Frames, Masks) {
     rayon::join(
         || {
             manifest
                 .frames
                 .par_iter()
-                .map(|frame| read_frame(manifest, frame))
+                .map(|frame| brackets::merge(read_frame(manifest, frame)?, response))
                 .collect()
         },
         || {
@@ -188,7 +206,7 @@ fn read_frame(manifest: &Manifest, frame: &Frame) -> Result<Vec<Part>, CaptureEr
             let picture = Picture::read(&exposure.path, &exposure.field, &check)?;
             Ok(Part {
                 path: exposure.path.clone(),
-                amount: exposure.amount,
+                amount: exposure.settings.as_ref().map(Settings::amount),
                 picture,
             })
         })
@@ -272,20 +290,17 @@ impl Tally {
 fn make_view(
     manifest: &Manifest,
     frame: &Frame,
-    parts: Vec<Part>,
+    merged: Merged,
     mask: Option<&Picture>,
     tally: &mut Tally,
 ) -> Result<View, CaptureError> {
-    let first = &parts[0];
-    let path = first.path.clone();
-    if parts.len() == 1 {
-        match first.picture.encoding {
-            Encoding::Float => {}
-            Encoding::Linear16 => tally.single_linear += 1,
-            Encoding::Srgb8 => tally.single_srgb += 1,
-        }
+    let path = frame.exposures[0].path.clone();
+    let picture = merged.picture;
+    match picture.encoding {
+        Encoding::Float => {}
+        Encoding::Linear16 => tally.single_linear += 1,
+        Encoding::Srgb8 => tally.single_srgb += 1,
     }
-    let picture = exposures::merge(parts)?;
     let size = (picture.width, picture.height);
     if let (Some(mask), Some(path)) = (mask, &frame.mask) {
         let found = (mask.width, mask.height);

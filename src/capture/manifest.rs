@@ -9,6 +9,7 @@
 //! Intrinsics may be shared or stand in a frame, which then wins. Fisheye and panoramic models are refused:
 //! images are undistorted easily before, and never sampled worse than needed.
 
+use super::brackets::Settings;
 use super::camera::{Camera, Distortion};
 use super::colmap;
 use super::error::CaptureError;
@@ -50,6 +51,8 @@ pub(super) struct Frame {
     pub name: String,
     /// One image, or a bracket of exposures.
     pub exposures: Vec<Exposure>,
+    /// Whether the manifest lists exposures, be it one.
+    pub bracketed: bool,
     /// Mask file, black where the image is to be ignored.
     pub mask: Option<PathBuf>,
     /// Intrinsics.
@@ -67,10 +70,8 @@ pub(super) struct Exposure {
     pub field: String,
     /// The file.
     pub path: PathBuf,
-    /// Relative exposure t·(ISO/100)/N², for a file of a bracket.
-    pub amount: Option<f64>,
-    /// Which of `f_number` and `iso` the manifest states for it.
-    pub stated: Vec<&'static str>,
+    /// How it was exposed, as far as that is stated.
+    pub settings: Option<Settings>,
 }
 
 /// Intrinsics as stated, before the image size is known.
@@ -483,6 +484,9 @@ fn read_frame(
     Ok(Frame {
         field: frame.prefix.clone(),
         name,
+        bracketed: frame
+            .list("exposures")?
+            .is_some_and(|list| !list.is_empty()),
         exposures,
         mask,
         lens: read_lens(frame, top)?,
@@ -509,8 +513,7 @@ fn read_exposures(frame: &Fields, folder: &Path) -> Result<Vec<Exposure>, Captur
         return Ok(vec![Exposure {
             field: frame.field("file_path"),
             path: resolve(folder, name),
-            amount: None,
-            stated: Vec::new(),
+            settings: None,
         }]);
     };
     list.iter()
@@ -521,23 +524,16 @@ fn read_exposures(frame: &Fields, folder: &Path) -> Result<Vec<Exposure>, Captur
             let name = fields.text("file_path")?.ok_or_else(|| {
                 fields.error("file_path", "is missing", "name the image of this exposure")
             })?;
-            let time = fields.positive("exposure_time")?.ok_or_else(|| {
-                fields.error(
-                    "exposure_time",
-                    "is missing",
-                    "write the exposure time in seconds",
-                )
-            })?;
-            let stop = fields.positive("f_number")?.unwrap_or(1.0);
-            let iso = fields.positive("iso")?.unwrap_or(100.0);
+            let (f_number, iso) = (fields.positive("f_number")?, fields.positive("iso")?);
+            let time = fields.positive("exposure_time")?;
             Ok(Exposure {
                 field: fields.field("file_path"),
                 path: resolve(folder, name),
-                amount: Some(time * iso / 100.0 / (stop * stop)),
-                stated: ["f_number", "iso"]
-                    .into_iter()
-                    .filter(|key| fields.get(key).is_some())
-                    .collect(),
+                settings: time.map(|time| Settings {
+                    time,
+                    f_number,
+                    iso,
+                }),
             })
         })
         .collect()

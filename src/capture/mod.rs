@@ -1,11 +1,11 @@
 //! What was measured: the photographs, their cameras and the mesh, read from a capture folder.
 
+mod brackets;
 mod camera;
 mod clipping;
 mod colmap;
 mod demo;
 mod error;
-mod exposures;
 mod load;
 mod manifest;
 mod mesh;
@@ -18,6 +18,10 @@ mod polygon;
 mod tests;
 mod write_cameras;
 
+pub use brackets::{
+    Brackets, ExposureUse, Group, KNOTS, MergedPhoto, Origin, Photo, Photos, Response, Settings,
+    Shot, TABLE, Table, group,
+};
 pub use camera::{Camera, Distortion};
 pub use demo::{DEMO, unpack_demo};
 pub use error::CaptureError;
@@ -74,6 +78,8 @@ pub struct Capture {
     pub mesh: Mesh,
     /// Where lights are sought.
     pub light_hemisphere: LightHemisphere,
+    /// How photographs of several exposures were merged, if there are any.
+    pub brackets: Option<Brackets>,
     /// What a user should know of the input, in whole sentences.
     pub warnings: Vec<String>,
 }

@@ -6,12 +6,18 @@
 //! * All of these: pixels on a plateau at the largest value are saturated.
 //! * 16-bit PNG and TIFF: taken as linear. 8-bit PNG, TIFF and JPEG: decoded by the sRGB curve. Full scale is 1,
 //!   and pixels at full scale in any channel are saturated: they say only "at least this much". Alpha in
-//!   these files is straight and RGB gets multiplied by it after decoding.
+//!   these files is straight and RGB gets multiplied by it after decoding. Their codes are kept, for brackets may tell
+//!   of another curve.
+//!
+//! Pictures are turned as their EXIF orientation says, unless only the picture as stored has the size that it should have:
+//! programs that recover cameras often look at pixels as they are stored.
 
+use super::brackets::srgb_to_linear;
 use super::clipping::mark_clipped;
 use super::error::CaptureError;
 use exr::meta::header::Header;
 use exr::prelude::{FlatImage, FlatSamples, MetaData, ReadChannels, ReadLayers};
+use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageReader};
 use std::io::Cursor;
 use std::path::Path;
@@ -54,6 +60,8 @@ pub(super) struct Picture {
     pub saturated: Vec<bool>,
     /// How values were stored.
     pub encoding: Encoding,
+    /// Straight RGB as stored in 8 or 16 bits, on a scale of 16.
+    pub codes: Option<Vec<[u16; 3]>>,
 }
 
 impl Picture {
@@ -94,8 +102,12 @@ pub(super) fn read_size(path: &Path, field: &str) -> Result<(u32, u32), CaptureE
         let window = display_size(path, meta.headers.first())?;
         return Ok((window.0 as u32, window.1 as u32));
     }
-    let decoder = common_decoder(path, &bytes)?;
-    Ok(decoder.dimensions())
+    let mut decoder = common_decoder(path, &bytes)?;
+    let size = decoder.dimensions();
+    Ok(turned(
+        size,
+        decoder.orientation().unwrap_or(Orientation::NoTransforms),
+    ))
 }
 
 fn read_file(path: &Path, field: &str) -> Result<Vec<u8>, CaptureError> {
@@ -297,6 +309,7 @@ fn read_exr(
         alpha,
         saturated,
         encoding: Encoding::Float,
+        codes: None,
     })
 }
 
@@ -352,23 +365,47 @@ fn common_decoder<'a>(
     })
 }
 
+/// Width and height after turning.
+fn turned((width, height): (u32, u32), orientation: Orientation) -> (u32, u32) {
+    match orientation {
+        Orientation::Rotate90
+        | Orientation::Rotate270
+        | Orientation::Rotate90FlipH
+        | Orientation::Rotate270FlipH => (height, width),
+        _ => (width, height),
+    }
+}
+
 fn read_common(
     path: &Path,
     bytes: &[u8],
     check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
 ) -> Result<Picture, CaptureError> {
-    let decoder = common_decoder(path, bytes)?;
-    let (width, height) = decoder.dimensions();
-    check_pixels(path, u64::from(width), u64::from(height))?;
-    check_size((width, height))?;
-    let image = DynamicImage::from_decoder(decoder)
+    let mut decoder = common_decoder(path, bytes)?;
+    let stored = decoder.dimensions();
+    check_pixels(path, u64::from(stored.0), u64::from(stored.1))?;
+    let mut orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    if let Err(error) = check_size(turned(stored, orientation)) {
+        if check_size(stored).is_err() {
+            return Err(error);
+        }
+        orientation = Orientation::NoTransforms;
+    }
+    let mut image = DynamicImage::from_decoder(decoder)
         .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
+    image.apply_orientation(orientation);
+    let (width, height) = (image.width(), image.height());
     let has_alpha = image.color().has_alpha();
     let jpeg = bytes.starts_with(&[0xff, 0xd8]);
     if jpeg && !jpeg_ends(bytes) {
         return Err(broken(path, "the file ends too early", COPY_AGAIN));
     }
-    let (encoding, pixels, saturated) = decode(image, jpeg);
+    let Decoded {
+        encoding,
+        pixels,
+        saturated,
+        codes,
+    } = decode(image, jpeg);
     let alpha = has_alpha.then(|| pixels.iter().map(|p| p[3]).collect());
     let rgb = pixels
         .iter()
@@ -381,6 +418,7 @@ fn read_common(
         alpha,
         saturated,
         encoding,
+        codes,
     })
 }
 
@@ -410,52 +448,59 @@ fn jpeg_ends(bytes: &[u8]) -> bool {
     false
 }
 
-/// Linear straight RGBA and saturation of every pixel.
-fn decode(image: DynamicImage, jpeg: bool) -> (Encoding, Vec<[f32; 4]>, Vec<bool>) {
+/// The pixels of a file.
+struct Decoded {
+    encoding: Encoding,
+    /// Linear straight RGBA.
+    pixels: Vec<[f32; 4]>,
+    saturated: Vec<bool>,
+    codes: Option<Vec<[u16; 3]>>,
+}
+
+fn decode(image: DynamicImage, jpeg: bool) -> Decoded {
     use image::ColorType as C;
-    let clipped = |[r, g, b, _]: [u32; 4], full: u32| r.max(g).max(b) >= full;
+    let clipped = |[r, g, b]: [u16; 3], full: u16| r.max(g).max(b) >= full;
     match image.color() {
         C::L8 | C::La8 | C::Rgb8 | C::Rgba8 => {
             let table: Vec<f32> = (0..=255)
                 .map(|code| srgb_to_linear(code as f32 / 255.0))
                 .collect();
             // JPEG's quantisation moves clipped pixels down by a code or so.
-            let full = if jpeg { 253 } else { 255 };
-            let (pixels, saturated) = image
-                .into_rgba8()
-                .pixels()
-                .map(|p| {
-                    let [r, g, b] = [0, 1, 2].map(|c| table[usize::from(p.0[c])]);
-                    let pixel = [r, g, b, f32::from(p.0[3]) / 255.0];
-                    (pixel, clipped(p.0.map(u32::from), full))
-                })
-                .unzip();
-            (Encoding::Srgb8, pixels, saturated)
+            let full = if jpeg { 253 * 257 } else { 255 * 257 };
+            let image = image.into_rgba8();
+            let pixel = |p: &image::Rgba<u8>| {
+                let [r, g, b] = [0, 1, 2].map(|c| table[usize::from(p.0[c])]);
+                [r, g, b, f32::from(p.0[3]) / 255.0]
+            };
+            let code = |p: &image::Rgba<u8>| [0, 1, 2].map(|c| u16::from(p.0[c]) * 257);
+            let codes: Vec<[u16; 3]> = image.pixels().map(code).collect();
+            Decoded {
+                encoding: Encoding::Srgb8,
+                pixels: image.pixels().map(pixel).collect(),
+                saturated: codes.iter().map(|&code| clipped(code, full)).collect(),
+                codes: Some(codes),
+            }
         }
         C::L16 | C::La16 | C::Rgb16 | C::Rgba16 => {
-            let (pixels, saturated) = image
-                .into_rgba16()
-                .pixels()
-                .map(|p| {
-                    let pixel = p.0.map(|value| f32::from(value) / 65_535.0);
-                    (pixel, clipped(p.0.map(u32::from), 65_535))
-                })
-                .unzip();
-            (Encoding::Linear16, pixels, saturated)
+            let image = image.into_rgba16();
+            let pixel = |p: &image::Rgba<u16>| p.0.map(|value| f32::from(value) / 65_535.0);
+            let code = |p: &image::Rgba<u16>| [p.0[0], p.0[1], p.0[2]];
+            let codes: Vec<[u16; 3]> = image.pixels().map(code).collect();
+            Decoded {
+                encoding: Encoding::Linear16,
+                pixels: image.pixels().map(pixel).collect(),
+                saturated: codes.iter().map(|&code| clipped(code, 65_535)).collect(),
+                codes: Some(codes),
+            }
         }
         _ => {
             let pixels: Vec<[f32; 4]> = image.into_rgba32f().pixels().map(|p| p.0).collect();
-            let saturated = vec![false; pixels.len()];
-            (Encoding::Float, pixels, saturated)
+            Decoded {
+                encoding: Encoding::Float,
+                saturated: vec![false; pixels.len()],
+                pixels,
+                codes: None,
+            }
         }
-    }
-}
-
-/// The sRGB decoding curve on [0, 1] (IEC 61966-2-1).
-fn srgb_to_linear(code: f32) -> f32 {
-    if code <= 0.040_45 {
-        code / 12.92
-    } else {
-        ((code + 0.055) / 1.055).powf(2.4)
     }
 }

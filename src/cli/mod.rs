@@ -8,6 +8,7 @@ mod gui;
 mod info;
 mod info_solution;
 mod interrupt;
+mod merge;
 mod progress;
 mod render;
 mod solve;
@@ -72,6 +73,12 @@ enum Command {
     ///
     /// Without --for: light maps and lists, cameras, scenes for Blender and Mitsuba, glTF, USD and OBJ.
     Export(export::ExportArgs),
+    /// Merge brackets of exposures to linear EXR files, all on one scale
+    ///
+    /// Photographs that belong together are found by their EXIF data: taken one after the other with the same camera, each
+    /// with another exposure; or else by names that differ only after the last `_` or `-`. The camera's response is recovered
+    /// from all of them.
+    Merge(merge::MergeArgs),
     /// Make a capture with known truth, to study the estimation with
     ///
     /// The folder is like a photographed capture, with the truth beside it: what `rekindle bench` compares with. The
@@ -123,6 +130,7 @@ fn execute(cli: &Cli) -> anyhow::Result<()> {
         Some(Command::Solve(args)) => solve::run(args, cli.output),
         Some(Command::Render(args)) => render::run(args, cli.output),
         Some(Command::Export(args)) => export::run(args, cli.output),
+        Some(Command::Merge(args)) => merge::run(args, cli.output),
         Some(Command::Synth(args)) => synth::run(args, cli.output),
         Some(Command::Bench(args)) => bench::run(args, cli.output),
         Some(Command::Info { path }) => {

@@ -11,7 +11,7 @@ use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
 use crate::synth::{
-    Files, GeometryErrors, Lamps, Light, Material, Normals, Object, Places, Recipe, Sensor,
+    Encode, Files, GeometryErrors, Lamps, Light, Material, Normals, Object, Places, Recipe, Sensor,
     SynthError, Views, make,
 };
 
@@ -115,9 +115,15 @@ struct ViewArgs {
     /// Factor of all radiances
     #[arg(long, default_value_t = 1.0, value_parser = positive)]
     scale: f32,
-    /// Write this many 8-bit PNG files for each view, two stops apart, in place of one EXR file
+    /// Write this many 8-bit PNG files for each view in place of one EXR file
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..=9), conflicts_with = "exposures")]
     brackets: Option<u32>,
+    /// How many stops the files of a view are apart
+    #[arg(long, value_name = "STOPS", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=6), requires = "brackets")]
+    bracket_stops: u32,
+    /// How they are encoded
+    #[arg(long, value_enum, default_value_t = ResponseArg::Srgb, requires = "brackets")]
+    response: ResponseArg,
     /// Expose the views differently, within this many stops, and state the exposure times
     #[arg(long, value_name = "STOPS", value_parser = clap::value_parser!(u32).range(1..=16))]
     exposures: Option<u32>,
@@ -181,6 +187,16 @@ enum NormalsArg {
     Exact,
     /// From the triangles around each vertex
     Faces,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum ResponseArg {
+    /// By sRGB's curve
+    Srgb,
+    /// By a gamma of 1.8
+    Gamma,
+    /// With a toe and a shoulder, as film
+    Film,
 }
 
 /// Azimuth and elevation, radians.
@@ -293,9 +309,17 @@ impl SynthArgs {
                 saturated: self.faults.saturated / 100.0,
                 gain_error: self.faults.gain_error / 100.0,
                 files: match (self.views.brackets, self.views.exposures) {
-                    (Some(count), _) => Files::Brackets(count),
+                    (Some(count), _) => Files::Brackets {
+                        count,
+                        stops: self.views.bracket_stops,
+                    },
                     (None, Some(stops)) => Files::Exposures(stops),
                     (None, None) => Files::Exr,
+                },
+                response: match self.views.response {
+                    ResponseArg::Srgb => Encode::Srgb,
+                    ResponseArg::Gamma => Encode::Gamma,
+                    ResponseArg::Film => Encode::Film,
                 },
             },
             errors: GeometryErrors {

@@ -8,15 +8,12 @@ use glam::Vec3;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use super::recipe::Files;
+use super::recipe::{Encode, Files, Sensor};
 use super::sensor::Exposed;
 use crate::capture::{Camera, camera_matrix};
 use crate::math::random::Random;
-use crate::relight::{Picture, srgb};
+use crate::relight::Picture;
 use crate::solution::write_rgba;
-
-/// Exposures of a bracket are this factor apart.
-const BRACKET_STEP: f64 = 4.0;
 
 /// A folder with a `transforms.json` and pictures.
 pub(super) struct Folder {
@@ -105,7 +102,7 @@ impl Folder {
 /// Writes the photographs that a sensor takes of pictures.
 pub(super) fn photographs(
     folder: &Folder,
-    files: Files,
+    sensor: Sensor,
     exposed: &Exposed,
     pictures: &[Picture],
     times: Random,
@@ -127,13 +124,16 @@ pub(super) fn photographs(
         .into_par_iter()
         .map(|i| {
             let (picture, read) = (&pictures[i], &read[i]);
-            match files {
+            match sensor.files {
                 Files::Exr => exposure(folder, i, picture, read, None),
                 Files::Exposures(stops) => {
                     let time = (f64::from(stops) * (times.uniform(i as u64) - 0.5)).exp2();
                     exposure(folder, i, picture, read, Some(time))
                 }
-                Files::Brackets(count) => bracket(folder, i, picture, read, count, full_scale),
+                Files::Brackets { count, stops } => {
+                    let times = (0..count).map(|k| f64::from(k * stops).exp2() / full_scale);
+                    bracket(folder, i, picture, read, times, sensor.response)
+                }
             }
         })
         .collect()
@@ -164,24 +164,23 @@ fn exposure(
     }))
 }
 
-/// 8-bit PNG files of growing exposure times.
+/// 8-bit PNG files of exposure times, which grow.
 fn bracket(
     folder: &Folder,
     view: usize,
     picture: &Picture,
     read: &[[f32; 3]],
-    count: u32,
-    full_scale: f64,
+    times: impl Iterator<Item = f64>,
+    response: Encode,
 ) -> io::Result<Frame> {
-    let exposures = (0..count).map(|k| {
-        let time = BRACKET_STEP.powi(k as i32) / full_scale;
+    let exposures = times.enumerate().map(|(k, time)| {
         let name = format!("images/view_{view:03}_{k}.png");
         let mut bytes = Vec::with_capacity(4 * read.len());
         for (pixel, coverage) in read.iter().zip(&picture.coverage) {
             // Alpha is straight in PNG files.
             let straight = Vec3::from(*pixel) * (time as f32) / coverage.max(f32::MIN_POSITIVE);
             let code = |v: f32| (255.0 * v).round() as u8;
-            bytes.extend(srgb(straight).to_array().map(code));
+            bytes.extend(straight.to_array().map(|v| code(response.code(v))));
             bytes.push(code(*coverage));
         }
         let path = folder.path.join(&name);

@@ -24,7 +24,7 @@ mod truth;
 pub use error::SynthError;
 pub use object::Object;
 pub use recipe::{
-    Files, GeometryErrors, Lamps, Light, Material, Normals, Places, Recipe, Sensor, Views,
+    Encode, Files, GeometryErrors, Lamps, Light, Material, Normals, Places, Recipe, Sensor, Views,
 };
 
 use std::fs;
@@ -234,7 +234,7 @@ impl<'a> Maker<'a> {
             .collect();
         let times = random(recipe, Purpose::Times);
         let folder = Folder::new(into, 0, self.light_distance());
-        let frames = photographs(&folder, recipe.sensor.files, &exposed, pictures, times)?;
+        let frames = photographs(&folder, recipe.sensor, &exposed, pictures, times)?;
         folder.write_manifest(&turned, frames)?;
 
         let truth = into.join("truth");

@@ -2,8 +2,11 @@
 
 use std::path::PathBuf;
 
+use glam::Vec3;
+
 use super::object::Object;
 use crate::estimate::SpecularModel;
+use crate::relight::srgb;
 
 /// Everything that decides a made capture, to the last bit.
 #[derive(Clone, Debug, PartialEq)]
@@ -131,6 +134,36 @@ pub struct Sensor {
     pub gain_error: f32,
     /// The files.
     pub files: Files,
+    /// How the files of brackets are encoded.
+    pub response: Encode,
+}
+
+/// How a camera encodes linear light, on [0, 1].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encode {
+    /// By sRGB's curve.
+    Srgb,
+    /// By a gamma of 1.8.
+    Gamma,
+    /// With a toe and a shoulder, as film.
+    Film,
+}
+
+impl Encode {
+    /// The code of a relative exposure, both 1 at full scale.
+    pub(super) fn code(self, exposure: f32) -> f32 {
+        let v = exposure.clamp(0.0, 1.0);
+        match self {
+            Self::Srgb => srgb(Vec3::splat(v)).x,
+            Self::Gamma => v.powf(1.0 / 1.8),
+            Self::Film => {
+                let x = v.sqrt();
+                let toe = x / (x + 0.01);
+                let shoulder = 1.6 * x / (0.6 + x);
+                shoulder * toe * 1.01
+            }
+        }
+    }
 }
 
 /// How photographs are stored.
@@ -140,8 +173,13 @@ pub enum Files {
     Exr,
     /// EXR files of exposure times that differ by up to this many stops, and are stated.
     Exposures(u32),
-    /// This many 8-bit PNG files a view, two stops apart.
-    Brackets(u32),
+    /// 8-bit PNG files.
+    Brackets {
+        /// How many a view.
+        count: u32,
+        /// How many stops they are apart.
+        stops: u32,
+    },
 }
 
 /// What is wrong with the geometry that a capture states.
@@ -197,6 +235,7 @@ impl Default for Recipe {
                 saturated: 0.0,
                 gain_error: 0.0,
                 files: Files::Exr,
+                response: Encode::Srgb,
             },
             errors: GeometryErrors {
                 rotation: 0.0,

@@ -10,7 +10,7 @@ use tempfile::TempDir;
 
 use super::*;
 use crate::bench::{FoundLamp, Measures, Truth};
-use crate::capture::{Capture, Mesh, read_cameras, read_covered};
+use crate::capture::{Capture, Mesh, Origin, read_cameras, read_covered};
 use crate::estimate::{EstimateParams, Unobserved};
 use crate::preflight::{self, Severity};
 use crate::solution::{Solution, SolveOptions, solve};
@@ -180,6 +180,24 @@ fn stated_cameras_are_turned_by_the_stated_angle_in_their_place() {
     assert!(axes[0].distance(axes[1]) > 1e-4, "each has its own axis");
 }
 
+/// The factor between two captures' radiance: a response is recovered up to one.
+fn scale(a: &Capture, b: &Capture) -> f32 {
+    let sum = |capture: &Capture| {
+        let pixels = capture.views.iter().flat_map(|v| &v.photograph.radiance);
+        pixels.map(|p| f64::from(p[1])).sum::<f64>()
+    };
+    (sum(a) / sum(b)) as f32
+}
+
+fn scaled(mut capture: Capture, factor: f32) -> Capture {
+    for view in &mut capture.views {
+        for pixel in &mut view.photograph.radiance {
+            *pixel = pixel.map(|v| v * factor);
+        }
+    }
+    capture
+}
+
 #[test]
 fn exposures_and_brackets_merge_to_the_same_radiance() {
     let plain = load(&made(|_| {}));
@@ -200,12 +218,24 @@ fn exposures_and_brackets_merge_to_the_same_radiance() {
     assert_eq!(manifest.matches("exposure_time").count(), 3);
     assert!(apart(&load(&exposures)).0 < 1e-5);
     // 8 bits of sRGB are about a percent of a step.
-    let brackets = made(|recipe| recipe.sensor.files = Files::Brackets(4));
+    let brackets = made(|recipe| recipe.sensor.files = Files::Brackets { count: 4, stops: 2 });
     let (error, used) = apart(&load(&brackets));
     assert!(error < 0.01, "{error}");
+    // Nor is another response worse, which the brackets tell.
+    for (response, stops) in [(Encode::Gamma, 2), (Encode::Film, 1)] {
+        let brackets = load(&made(|recipe| {
+            recipe.sensor.files = Files::Brackets { count: 6, stops };
+            recipe.sensor.response = response;
+        }));
+        let merged = brackets.brackets.as_ref().expect("brackets");
+        assert_eq!(merged.response.origin, Origin::Recovered, "{response:?}");
+        let ratio = scale(&plain, &brackets);
+        let error = apart(&scaled(brackets, ratio)).0;
+        assert!(error < 0.015, "{response:?}: {error}");
+    }
     // Brackets say what is clipped.
     let clipped = made(|recipe| {
-        recipe.sensor.files = Files::Brackets(4);
+        recipe.sensor.files = Files::Brackets { count: 4, stops: 2 };
         recipe.sensor.saturated = 0.5;
     });
     let clipped = load(&clipped);

@@ -32,7 +32,9 @@ pub(super) fn describe(name: &str, recipe: &Recipe, lamps: &[TrueLamp], centre: 
         "files": match sensor.files {
             Files::Exr => json!("exr"),
             Files::Exposures(stops) => json!({ "exposures_within_stops": stops }),
-            Files::Brackets(count) => json!({ "brackets": count }),
+            Files::Brackets { count, stops } => {
+                json!({ "brackets": count, "stops": stops, "response": format!("{:?}", sensor.response) })
+            }
         },
         "geometry_errors": {
             "camera_rotation_deg": errors.rotation.to_degrees(),
