@@ -62,10 +62,16 @@ fn eye() -> vec3f {
     return vec3f(frame.camera_x.w, frame.camera_y.w, frame.camera_z.w);
 }
 
-/// The OPENCV model, extended: distorted normalised coordinates.
+/// The OPENCV model, extended, or the OPENCV_FISHEYE model: distorted normalised coordinates.
 fn distort(u: vec2f) -> vec2f {
     let r2 = dot(u, u);
     let k = frame.radial;
+    if (frame.distorted == 2u) {
+        let r = max(sqrt(r2), 1e-9);
+        let angle = atan(r);
+        let a2 = angle * angle;
+        return u * (angle / r * (1.0 + a2 * (k.x + a2 * (k.y + a2 * (k.z + a2 * k.w)))));
+    }
     let d = frame.denominator;
     let radial = (1.0 + r2 * (k.x + r2 * (k.y + r2 * (k.z + r2 * k.w)))) / (1.0 + r2 * (d.x + r2 * (d.y + r2 * d.z)));
     let p = frame.tangential;
@@ -79,7 +85,7 @@ fn project(position: vec3f) -> vec4f {
     let c = vec3f(dot(frame.camera_x.xyz, offset), dot(frame.camera_y.xyz, offset), dot(frame.camera_z.xyz, offset));
     let depth = -c.z;
     var xy = vec2f(c.x, -c.y);
-    if (frame.distorted == 1u && depth > frame.near) {
+    if (frame.distorted != 0u && depth > frame.near) {
         xy = distort(xy / depth) * depth;
     }
     return vec4f(xy.x * frame.focal.x + frame.centre.x * depth, -(xy.y * frame.focal.y + frame.centre.y * depth),

@@ -1,5 +1,6 @@
 //! rekindle relights a captured object.
 
+pub mod align;
 pub mod app;
 pub mod bench;
 pub mod capture;

@@ -16,6 +16,7 @@ const LENS: Distortion = Distortion {
     k: [0.15, -0.2, 0.0, 0.0],
     p: [0.002, -0.003],
     denominator: [0.0; 3],
+    fisheye: false,
 };
 
 /// The view through another lens: premultiplied RGB and alpha, row by row.

@@ -1,4 +1,4 @@
-//! A perspective camera with the distortion of the OPENCV model.
+//! A camera with the distortion of the OPENCV or the OPENCV_FISHEYE model.
 //!
 //! Camera space has OpenGL axes: +X right, +Y up, looking along −Z. Pixel (0, 0) is the top-left pixel and
 //! its centre lies at (0.5, 0.5). Distances are in the mesh's units.
@@ -6,7 +6,8 @@
 use glam::{DAffine3, DVec2, DVec3};
 
 /// Radial and tangential lens distortion, applied to normalised image coordinates `(x, y) = (X/Z, Y/Z)`
-/// with y downwards: the OPENCV model (k1, k2, p1, p2), extended by the radial k3 and k4.
+/// with y downwards: the OPENCV model (k1, k2, p1, p2), extended by the radial k3 and k4; or, for a fisheye, the
+/// OPENCV_FISHEYE model, whose radius is θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) at the angle θ from the axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Distortion {
     /// Radial coefficients of r², r⁴, r⁶ and r⁸.
@@ -15,6 +16,8 @@ pub struct Distortion {
     pub p: [f64; 2],
     /// Coefficients of r², r⁴ and r⁶ in the denominator of the radial factor (`FULL_OPENCV`'s k4, k5 and k6).
     pub denominator: [f64; 3],
+    /// Whether the radius follows the angle in place of its tangent.
+    pub fisheye: bool,
 }
 
 /// A camera: image size, intrinsics in pixels and pose.
@@ -42,6 +45,14 @@ impl Distortion {
 
     /// Distorted coordinates of undistorted normalised coordinates.
     pub fn apply(&self, u: DVec2) -> DVec2 {
+        if self.fisheye {
+            let r = u.length();
+            return if r < 1e-9 {
+                u
+            } else {
+                u * (self.fisheye_radius(r.atan()) / r)
+            };
+        }
         let r2 = u.length_squared();
         let [k1, k2, k3, k4] = self.k;
         let [k5, k6, k7] = self.denominator;
@@ -58,6 +69,9 @@ impl Distortion {
     /// Whether the image still grows outwards at undistorted coordinates `u`. Beyond, a polynomial fitted to the image
     /// folds back and would put points far outside the field of view into the picture.
     fn grows_at(&self, u: DVec2) -> bool {
+        if self.fisheye {
+            return self.fisheye_slope(u.length().atan()) > 0.0;
+        }
         let r2 = u.length_squared();
         let [k1, k2, k3, k4] = self.k;
         let [k5, k6, k7] = self.denominator;
@@ -69,11 +83,46 @@ impl Distortion {
         bottom > 0.0 && top * bottom + 2.0 * (top_slope * bottom - top * bottom_slope) > 0.0
     }
 
+    /// Radius of a fisheye at an angle from the axis, and its derivative.
+    fn fisheye_radius(&self, angle: f64) -> f64 {
+        let [k1, k2, k3, k4] = self.k;
+        let a2 = angle * angle;
+        angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
+    }
+
+    fn fisheye_slope(&self, angle: f64) -> f64 {
+        let [k1, k2, k3, k4] = self.k;
+        let a2 = angle * angle;
+        1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * 9.0 * k4)))
+    }
+
+    /// Undistorted coordinates of a fisheye's, by Newton's method on the angle. What lies behind the camera comes out just
+    /// in front of it.
+    fn remove_fisheye(&self, d: DVec2) -> DVec2 {
+        const LARGEST: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;
+        let r = d.length();
+        if r < 1e-9 {
+            return d;
+        }
+        let mut angle = r.min(LARGEST);
+        for _ in 0..20 {
+            let slope = self.fisheye_slope(angle);
+            if slope <= 1e-6 {
+                break;
+            }
+            angle = (angle - (self.fisheye_radius(angle) - r) / slope).clamp(0.0, LARGEST);
+        }
+        d * (angle.tan() / r)
+    }
+
     /// Undistorted coordinates of distorted ones, by Newton's method with a numerical Jacobian.
     pub fn remove(&self, d: DVec2) -> DVec2 {
         const STEP: f64 = 1e-6;
         if self.is_none() {
             return d;
+        }
+        if self.fisheye {
+            return self.remove_fisheye(d);
         }
         let mut u = d;
         for _ in 0..20 {

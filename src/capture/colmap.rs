@@ -10,11 +10,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Where a model may lie in a capture's folder.
-const PLACES: [&str; 3] = ["", "sparse/0", "sparse"];
+const PLACES: [&str; 5] = ["", "sparse/0", "sparse", "colmap/sparse/0", "dense/sparse"];
 
 /// Camera models by their number in binary files, with their parameters by nerfstudio's names. A focal length `f` is that of
-/// both axes. Fisheyes and others without names are refused later by name.
-const MODELS: [(&str, usize, &[&str]); 11] = [
+/// both axes. Those without names are refused later by name.
+const MODELS: [(&str, usize, &[&str]); 18] = [
     ("SIMPLE_PINHOLE", 3, &["f", "cx", "cy"]),
     ("PINHOLE", 4, &["fl_x", "fl_y", "cx", "cy"]),
     ("SIMPLE_RADIAL", 4, &["f", "cx", "cy", "k1"]),
@@ -24,7 +24,11 @@ const MODELS: [(&str, usize, &[&str]); 11] = [
         8,
         &["fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2"],
     ),
-    ("OPENCV_FISHEYE", 8, &[]),
+    (
+        "OPENCV_FISHEYE",
+        8,
+        &["fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4"],
+    ),
     (
         "FULL_OPENCV",
         12,
@@ -36,6 +40,13 @@ const MODELS: [(&str, usize, &[&str]); 11] = [
     ("SIMPLE_RADIAL_FISHEYE", 4, &[]),
     ("RADIAL_FISHEYE", 5, &[]),
     ("THIN_PRISM_FISHEYE", 12, &[]),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16, &[]),
+    ("SIMPLE_DIVISION", 4, &[]),
+    ("DIVISION", 5, &[]),
+    ("SIMPLE_FISHEYE", 3, &[]),
+    ("FISHEYE", 4, &[]),
+    ("EUCM", 6, &[]),
+    ("EQUIRECTANGULAR", 2, &[]),
 ];
 
 /// The fields of a frame that a camera gives, by the camera's number.
@@ -186,32 +197,45 @@ fn text_cameras(bytes: &[u8]) -> Result<Cameras, usize> {
         .collect()
 }
 
-/// The images, or the number of the first bad line.
+/// The images, or the number of the first bad line. The line of points that follows each image may be missing.
 fn text_images(bytes: &[u8]) -> Result<Vec<Image>, usize> {
-    let parse = |line: &str| {
-        let mut words = line.splitn(10, char::is_whitespace);
-        let _id = words.next()?;
-        let mut number = || words.next()?.parse::<f64>().ok();
-        let rotation = [number()?, number()?, number()?, number()?];
-        let translation = [number()?, number()?, number()?];
-        Some(Image {
-            camera: words.next()?.parse().ok()?,
-            name: words.next()?.trim().to_owned(),
-            rotation,
-            translation,
-        })
-    };
     let mut images = Vec::new();
-    let mut lines = lines(bytes);
-    while let Some((number, line)) = lines.next() {
-        if line.is_empty() {
-            continue;
+    let mut after_image = false;
+    for (number, line) in lines(bytes) {
+        let points = line.is_empty() || after_image && is_points(&line);
+        after_image = !points;
+        if !points {
+            images.push(text_image(&line).ok_or(number)?);
         }
-        images.push(parse(&line).ok_or(number)?);
-        // The image's points, perhaps none.
-        lines.next();
     }
     Ok(images)
+}
+
+/// An image's own line. Its name, which comes last, may hold spaces.
+fn text_image(line: &str) -> Option<Image> {
+    let mut rest = line;
+    let mut word = || {
+        let (word, after) = rest.split_once(char::is_whitespace)?;
+        rest = after.trim_start();
+        Some(word)
+    };
+    let _id: u64 = word()?.parse().ok()?;
+    let mut number = || word()?.parse::<f64>().ok();
+    let rotation = [number()?, number()?, number()?, number()?];
+    let translation = [number()?, number()?, number()?];
+    let camera = word()?.parse().ok()?;
+    (!rest.is_empty()).then(|| Image {
+        camera,
+        name: rest.to_owned(),
+        rotation,
+        translation,
+    })
+}
+
+/// Whether a line lists points: places in the image and numbers of points, and no name.
+fn is_points(line: &str) -> bool {
+    let words = line.split_whitespace();
+    words.clone().count().is_multiple_of(3) && words.into_iter().all(|w| w.parse::<f64>().is_ok())
 }
 
 /// Reads little-endian values one after the other.

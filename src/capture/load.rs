@@ -24,6 +24,15 @@ impl Capture {
 
     /// Reads a capture and counts the bad pixels that its views had, one entry per view.
     pub fn load_counting(path: &Path) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
+        Self::read(path, true)
+    }
+
+    /// Reads a capture whose mesh may lie where no camera sees it.
+    pub fn load_unplaced(path: &Path) -> Result<Self, CaptureError> {
+        Self::read(path, false).map(|(capture, _)| capture)
+    }
+
+    fn read(path: &Path, placed: bool) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
         let mut manifest = Manifest::read(path)?;
         let table = Table::beside(&manifest.folder)?;
         brackets::settle(&mut manifest, &table)?;
@@ -36,6 +45,10 @@ impl Capture {
                 let mesh_path = manifest.mesh_path.as_deref();
                 let file = mesh_file::find(&manifest.folder, mesh_path, &manifest.path)?;
                 let (mesh, warnings) = mesh_file::read(&file)?;
+                let mesh = match &manifest.mesh_transform {
+                    Some(transform) => mesh.transformed(transform),
+                    None => mesh,
+                };
                 Ok((file, mesh, warnings))
             },
         );
@@ -67,7 +80,10 @@ impl Capture {
         warnings.extend(brackets.as_ref().and_then(Brackets::note));
         let (mesh_path, mesh, mesh_warnings) = mesh?;
         warnings.extend(mesh_warnings);
-        place_cameras(&manifest, &mut views, &mesh, mesh_path, &mut warnings)?;
+        let place = place_cameras(&manifest, &mut views, &mesh, mesh_path, &mut warnings);
+        if placed {
+            place?;
+        }
         let light_hemisphere = hemisphere(&manifest, &views, &mesh, &mut warnings);
         let capture = Self {
             name: name_of(&manifest.folder),
@@ -134,7 +150,7 @@ pub struct Covered {
 
 /// Reads any image file as linear radiance and coverage. Values that are not finite become zero.
 pub fn read_covered(path: &Path) -> Result<Covered, CaptureError> {
-    let picture = Picture::read(path, "file", &|_| Ok(()))?;
+    let picture = Picture::read(path, "file", true, &|_| Ok(()))?;
     let finite = |v: f32| if v.is_finite() { v } else { 0.0 };
     let pixels = picture.rgb.len();
     Ok(Covered {
@@ -176,7 +192,7 @@ fn read_images(manifest: &Manifest, response: &Response) -> (Frames, Masks) {
                         return Ok(None);
                     };
                     let field = format!("{}.mask_path", frame.field);
-                    Picture::read(path, &field, &|_| Ok(())).map(Some)
+                    Picture::read(path, &field, !manifest.as_stored, &|_| Ok(())).map(Some)
                 })
                 .collect()
         },
@@ -203,7 +219,8 @@ fn read_frame(manifest: &Manifest, frame: &Frame) -> Result<Vec<Part>, CaptureEr
                     stated_by: manifest.path.display().to_string(),
                 })
             };
-            let picture = Picture::read(&exposure.path, &exposure.field, &check)?;
+            let picture =
+                Picture::read(&exposure.path, &exposure.field, !manifest.as_stored, &check)?;
             Ok(Part {
                 path: exposure.path.clone(),
                 amount: exposure.settings.as_ref().map(Settings::amount),

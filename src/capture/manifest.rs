@@ -1,21 +1,29 @@
-//! Which files and cameras make up a capture: `transforms.json` in the nerfstudio / instant-ngp convention, or a COLMAP
-//! model.
+//! Which files and cameras make up a capture: `transforms.json` in the nerfstudio / instant-ngp convention, or what other
+//! programs write.
 //!
 //! Cameras are camera-to-world matrices with OpenGL axes. Where nerfstudio moved the scene into a frame of its own
 //! it says so by `applied_transform` A and `applied_scale` s, `p = s·A·p_original`; both are undone here, so
 //! that cameras are in the frame of the mesh, which nerfstudio does not touch. `light_hemisphere` is in the
 //! mesh's frame from the start.
 //!
-//! Intrinsics may be shared or stand in a frame, which then wins. Fisheye and panoramic models are refused:
-//! images are undistorted easily before, and never sampled worse than needed.
+//! `mesh_transform`, a similarity transform, brings the mesh of the file into that frame.
+//!
+//! Intrinsics may be shared or stand in a frame, which then wins. Models other than OPENCV's and what it contains are
+//! refused: images are undistorted easily before.
+//!
+//! A COLMAP model, SfMData or a table of RealityCapture is read as the manifest that nerfstudio would write for it.
 
 use super::brackets::Settings;
 use super::camera::{Camera, Distortion};
 use super::colmap;
 use super::error::CaptureError;
+use super::{reality_capture, sfm_data};
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3};
 use serde_json::{Map, Value};
 use std::path::{Path, PathBuf};
+
+/// Names of manifests, in this order; Blender's NeRF add-ons write the second.
+const MANIFESTS: [&str; 2] = ["transforms.json", "transforms_train.json"];
 
 /// Largest image side accepted, in pixels.
 const MAX_SIDE: f64 = 65_535.0;
@@ -34,12 +42,16 @@ pub(super) struct Manifest {
     pub frames: Vec<Frame>,
     /// The mesh file as named, if it is.
     pub mesh_path: Option<String>,
+    /// What brings the mesh of the file into the cameras' frame, a similarity transform.
+    pub mesh_transform: Option<DMat4>,
     /// Unit vector, if stated.
     pub up: Option<DVec3>,
     /// Radius of the light hemisphere in mesh units, `None` for distant light.
     pub radius: Option<f64>,
     /// `applied_transform` with `applied_scale`, where the manifest states them.
     pub applied: Option<DMat4>,
+    /// Whether cameras are of the pixels as they are stored, whatever the images' orientation.
+    pub as_stored: bool,
 }
 
 /// One frame: its files and its camera, which lacks its size if only the image tells.
@@ -285,12 +297,17 @@ fn kind(value: &Value) -> String {
 impl Manifest {
     /// Reads the manifest of a capture, given its folder or the file itself.
     pub(super) fn read(path: &Path) -> Result<Self, CaptureError> {
-        let own = path.join("transforms.json");
-        if !own.exists()
-            && let Some(images) = colmap::locate(path)
-        {
-            let value = colmap::read(path, &images)?;
-            return Self::from_value(&value, images, path.to_owned());
+        if path.is_dir() && !MANIFESTS.iter().any(|name| path.join(name).is_file()) {
+            if let Some(images) = colmap::locate(path) {
+                let value = colmap::read(path, &images)?;
+                let mut manifest = Self::from_value(&value, images, path.to_owned())?;
+                manifest.as_stored = true;
+                return Ok(manifest);
+            }
+            let other = sfm_data::locate(path).or_else(|| reality_capture::locate(path));
+            if let Some(other) = other {
+                return Self::read(&other);
+            }
         }
         let file = locate(path)?;
         let bytes = std::fs::read(&file).map_err(|source| CaptureError::Unreadable {
@@ -304,13 +321,23 @@ impl Manifest {
         Self::parse(&bytes, file, folder)
     }
 
-    /// Parses the text of the manifest `path` whose files lie in `folder`.
+    /// Parses the text of the manifest `path`, of any program, whose files lie in `folder`.
     pub(super) fn parse(
         bytes: &[u8],
         path: PathBuf,
         folder: PathBuf,
     ) -> Result<Self, CaptureError> {
-        let value = parse_json(bytes, &path)?;
+        if path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("csv"))
+        {
+            let value = reality_capture::convert(&path, bytes)?;
+            return Self::from_value(&value, path, folder);
+        }
+        let mut value = parse_json(bytes, &path)?;
+        if sfm_data::is_sfm_data(&value) {
+            value = sfm_data::convert(&path, &value)?;
+        }
         Self::from_value(&value, path, folder)
     }
 
@@ -337,14 +364,17 @@ impl Manifest {
             .collect::<Result<Vec<_>, _>>()?;
         let (up, radius) = light_hemisphere(&top)?;
         let mesh_path = top.text("mesh_path")?.map(str::to_owned);
+        let mesh_transform = mesh_transform(&top)?;
         Ok(Self {
             path,
             folder,
             frames,
             mesh_path,
+            mesh_transform,
             up,
             radius,
             applied,
+            as_stored: false,
         })
     }
 }
@@ -359,11 +389,12 @@ fn locate(path: &Path) -> Result<PathBuf, CaptureError> {
     if path.is_file() {
         return Ok(path.to_owned());
     }
-    let file = path.join("transforms.json");
-    if file.is_file() {
+    let manifests = MANIFESTS.iter().map(|name| path.join(name));
+    if let Some(file) = manifests.into_iter().find(|file| file.is_file()) {
         return Ok(file);
     }
-    let advice = "it needs the nerfstudio file that lists images and cameras, or a COLMAP model";
+    let advice = "it needs the nerfstudio file that lists images and cameras, a COLMAP model, Meshroom's cameras.sfm, or \
+        RealityCapture's table of cameras";
     Err(CaptureError::NoManifest {
         path: path.to_owned(),
         advice: advice.to_owned(),
@@ -435,6 +466,18 @@ fn applied_transform(top: &Fields) -> Result<Option<DMat4>, CaptureError> {
         )
     })?;
     Ok(Some(matrix))
+}
+
+/// `mesh_transform`: from the mesh's file to the cameras' frame.
+fn mesh_transform(top: &Fields) -> Result<Option<DMat4>, CaptureError> {
+    const KEY: &str = "mesh_transform";
+    let matrix = top.matrix(KEY)?;
+    if let Some(matrix) = matrix {
+        let advice =
+            "write the matrix of a similarity transform, as rekindle align does, or remove it";
+        rigid(matrix).map_err(|problem| top.error(KEY, problem, advice))?;
+    }
+    Ok(matrix)
 }
 
 /// `light_hemisphere`: unit up and radius.
@@ -595,15 +638,20 @@ fn read_lens(frame: &Fields, top: &Fields) -> Result<Lens, CaptureError> {
     Ok(lens)
 }
 
-/// Refuses camera models that are not a perspective.
+fn is_fisheye(model: Option<&str>) -> bool {
+    model.is_some_and(|model| model.eq_ignore_ascii_case("OPENCV_FISHEYE"))
+}
+
+/// Refuses camera models that can't be stated here.
 fn check_model(model: &str, top: &Fields) -> Result<(), CaptureError> {
-    const KNOWN: [&str; 7] = [
+    const KNOWN: [&str; 8] = [
         "SIMPLE_PINHOLE",
         "PINHOLE",
         "PERSPECTIVE",
         "SIMPLE_RADIAL",
         "RADIAL",
         "OPENCV",
+        "OPENCV_FISHEYE",
         "FULL_OPENCV",
     ];
     if KNOWN.contains(&model.to_uppercase().as_str()) {
@@ -612,7 +660,7 @@ fn check_model(model: &str, top: &Fields) -> Result<(), CaptureError> {
     Err(top.error(
         "camera_model",
         format!("is {model}, which is not among {}", KNOWN.join(", ")),
-        "undistort the images (colmap image_undistorter) and state a PINHOLE",
+        "undistort the images (colmap image_undistorter --image_path images --input_path sparse/0 --output_path undistorted) and use the PINHOLE cameras that this writes",
     ))
 }
 
@@ -650,18 +698,27 @@ fn read_distortion(
     let (k1, k2) = (named("k1", 0)?, named("k2", 1)?);
     let (k3, k4) = (named("k3", 2)?, named("k4", 3)?);
     let p = [named("p1", 4)?, named("p2", 5)?];
+    if is_fisheye(model) {
+        return Ok(Distortion {
+            k: [k1, k2, k3, k4],
+            fisheye: true,
+            ..Distortion::default()
+        });
+    }
     // In FULL_OPENCV k4, k5 and k6 are the coefficients of a denominator.
     if model.is_some_and(|model| model.eq_ignore_ascii_case("FULL_OPENCV")) {
         return Ok(Distortion {
             k: [k1, k2, k3, 0.0],
             p,
             denominator: [k4, named("k5", usize::MAX)?, named("k6", usize::MAX)?],
+            fisheye: false,
         });
     }
     Ok(Distortion {
         k: [k1, k2, k3, k4],
         p,
         denominator: [0.0; 3],
+        fisheye: false,
     })
 }
 

@@ -1,6 +1,6 @@
 //! The object's surface as a triangle mesh.
 
-use glam::{Vec2, Vec3};
+use glam::{DMat3, DMat4, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Triangles over shared vertices. Corners that differ in normal or texture coordinate are distinct vertices.
@@ -58,6 +58,22 @@ impl Mesh {
     pub fn face_normal(&self, triangle: u32) -> Vec3 {
         let [a, b, c] = self.corners(triangle);
         (b - a).cross(c - a).normalize_or_zero()
+    }
+
+    /// The mesh moved by an affine transform, which is not to mirror.
+    #[must_use]
+    pub fn transformed(&self, transform: &DMat4) -> Self {
+        let to_normal = DMat3::from_mat4(*transform).inverse().transpose();
+        Self {
+            positions: (self.positions.iter())
+                .map(|p| transform.transform_point3(p.as_dvec3()).as_vec3())
+                .collect(),
+            normals: (self.normals.iter())
+                .map(|n| (to_normal * n.as_dvec3()).normalize_or_zero().as_vec3())
+                .collect(),
+            uvs: self.uvs.clone(),
+            triangles: self.triangles.clone(),
+        }
     }
 
     /// For every vertex the number of its place, counted from 0: vertices at exactly one position have one place, whatever

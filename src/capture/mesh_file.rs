@@ -2,7 +2,7 @@
 
 use super::error::CaptureError;
 use super::mesh::Mesh;
-use super::{obj, ply};
+use super::{gltf, obj, ply};
 use glam::{Vec2, Vec3};
 use std::path::{Path, PathBuf};
 
@@ -52,7 +52,7 @@ pub(super) fn find(
     let mut found: Vec<PathBuf> = entries
         .filter_map(|entry| Some(entry.ok()?.path()))
         .filter(|path| match extension(path).as_str() {
-            "obj" => true,
+            "obj" | "glb" | "gltf" => true,
             // nerfstudio leaves sparse point clouds beside the manifest.
             "ply" => ply::has_faces(path),
             _ => false,
@@ -63,7 +63,7 @@ pub(super) fn find(
         [only] => Ok(only.clone()),
         [] => Err(missing(
             "no mesh in this folder".to_owned(),
-            "add the object's mesh as OBJ or PLY and name it by mesh_path",
+            "add the object's mesh as OBJ, PLY or GLB and name it by mesh_path",
         )),
         several => {
             let names: Vec<_> = several
@@ -87,23 +87,23 @@ fn extension(path: &Path) -> String {
 /// Reads a mesh file. Returns the mesh and what a user should know of it.
 pub(super) fn read(path: &Path) -> Result<(Mesh, Vec<String>), CaptureError> {
     let kind = extension(path);
-    if kind != "obj" && kind != "ply" {
-        return Err(CaptureError::MeshMissing {
-            path: path.to_owned(),
-            problem: "not a mesh format known here".to_owned(),
-            advice: "export the mesh as OBJ or PLY".to_owned(),
-        });
-    }
+    let parse = match kind.as_str() {
+        "obj" => obj::parse,
+        "ply" => ply::parse,
+        "glb" | "gltf" => gltf::parse,
+        _ => {
+            return Err(CaptureError::MeshMissing {
+                path: path.to_owned(),
+                problem: "not a mesh format known here".to_owned(),
+                advice: "export the mesh as OBJ, PLY, GLB or glTF".to_owned(),
+            });
+        }
+    };
     let bytes = std::fs::read(path).map_err(|source| CaptureError::Unreadable {
         path: path.to_owned(),
         source,
     })?;
-    let raw = if kind == "obj" {
-        obj::parse(path, &bytes)?
-    } else {
-        ply::parse(path, &bytes)?
-    };
-    finish(path, raw)
+    finish(path, parse(path, &bytes)?)
 }
 
 /// Drops degenerate triangles, repairs normals and texture coordinates.

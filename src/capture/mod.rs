@@ -6,6 +6,7 @@ mod clipping;
 mod colmap;
 mod demo;
 mod error;
+mod gltf;
 mod load;
 mod manifest;
 mod mesh;
@@ -14,6 +15,10 @@ mod obj;
 mod picture;
 mod ply;
 mod polygon;
+#[cfg(test)]
+mod programs;
+mod reality_capture;
+mod sfm_data;
 #[cfg(test)]
 mod tests;
 mod write_cameras;

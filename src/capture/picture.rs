@@ -9,8 +9,8 @@
 //!   these files is straight and RGB gets multiplied by it after decoding. Their codes are kept, for brackets may tell
 //!   of another curve.
 //!
-//! Pictures are turned as their EXIF orientation says, unless only the picture as stored has the size that it should have:
-//! programs that recover cameras often look at pixels as they are stored.
+//! Pictures are turned as their EXIF orientation says, unless only the picture as stored has the size that it should have,
+//! or its camera comes from COLMAP, which looks at pixels as they are stored.
 
 use super::brackets::srgb_to_linear;
 use super::clipping::mark_clipped;
@@ -65,26 +65,28 @@ pub(super) struct Picture {
 }
 
 impl Picture {
-    /// Reads an image file that `field` of the manifest names. `check_size` may refuse its width and height before the
-    /// pixels are decoded.
+    /// Reads an image file that `field` of the manifest names, `turned` as its orientation says. `check_size` may refuse
+    /// its width and height before the pixels are decoded.
     pub(super) fn read(
         path: &Path,
         field: &str,
+        turned: bool,
         check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
     ) -> Result<Self, CaptureError> {
-        Self::decode(path, &read_file(path, field)?, check_size)
+        Self::decode(path, &read_file(path, field)?, turned, check_size)
     }
 
     /// Decodes the bytes of the image file `path`.
     pub(super) fn decode(
         path: &Path,
         bytes: &[u8],
+        turned: bool,
         check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
     ) -> Result<Self, CaptureError> {
         let mut picture = if bytes.starts_with(&EXR_MAGIC) {
             read_exr(path, bytes, check_size)?
         } else {
-            read_common(path, bytes, check_size)?
+            read_common(path, bytes, turned, check_size)?
         };
         if picture.encoding == Encoding::Float {
             mark_clipped(&picture.rgb, &mut picture.saturated);
@@ -104,7 +106,7 @@ pub(super) fn read_size(path: &Path, field: &str) -> Result<(u32, u32), CaptureE
     }
     let mut decoder = common_decoder(path, &bytes)?;
     let size = decoder.dimensions();
-    Ok(turned(
+    Ok(size_after(
         size,
         decoder.orientation().unwrap_or(Orientation::NoTransforms),
     ))
@@ -366,7 +368,7 @@ fn common_decoder<'a>(
 }
 
 /// Width and height after turning.
-fn turned((width, height): (u32, u32), orientation: Orientation) -> (u32, u32) {
+fn size_after((width, height): (u32, u32), orientation: Orientation) -> (u32, u32) {
     match orientation {
         Orientation::Rotate90
         | Orientation::Rotate270
@@ -379,13 +381,18 @@ fn turned((width, height): (u32, u32), orientation: Orientation) -> (u32, u32) {
 fn read_common(
     path: &Path,
     bytes: &[u8],
+    turned: bool,
     check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
 ) -> Result<Picture, CaptureError> {
     let mut decoder = common_decoder(path, bytes)?;
     let stored = decoder.dimensions();
     check_pixels(path, u64::from(stored.0), u64::from(stored.1))?;
-    let mut orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-    if let Err(error) = check_size(turned(stored, orientation)) {
+    let mut orientation = if turned {
+        decoder.orientation().unwrap_or(Orientation::NoTransforms)
+    } else {
+        Orientation::NoTransforms
+    };
+    if let Err(error) = check_size(size_after(stored, orientation)) {
         if check_size(stored).is_err() {
             return Err(error);
         }

@@ -25,7 +25,7 @@ fn bytes(name: &str) -> Vec<u8> {
 }
 
 fn decode(name: &str) -> Result<Picture, CaptureError> {
-    Picture::decode(&data(name), &bytes(name), &|_| Ok(()))
+    Picture::decode(&data(name), &bytes(name), true, &|_| Ok(()))
 }
 
 /// A capture of the 2×2×2 box in a folder of its own.
@@ -213,7 +213,7 @@ fn truncated_images_are_refused() {
         for share in [0.0, 0.3, 0.6, 0.9] {
             let end = (bytes.len() as f64 * share) as usize;
             // TIFF files may keep their directory before the pixels and metadata behind them.
-            let result = Picture::decode(&data(name), &bytes[..end], &|_| Ok(()));
+            let result = Picture::decode(&data(name), &bytes[..end], true, &|_| Ok(()));
             assert!(
                 result.is_err(),
                 "{name} cut to {end} of {} bytes",
@@ -235,12 +235,12 @@ fn enormous_headers_are_refused_without_allocating() {
         let corner = at + name.len() + 4 + 8;
         exr[corner..corner + 8].copy_from_slice(&[0xff, 0xff, 0xff, 0x0f, 0xff, 0xff, 0xff, 0x0f]);
     }
-    let message = Picture::decode(Path::new("huge.exr"), &exr, &|_| Ok(()))
+    let message = Picture::decode(Path::new("huge.exr"), &exr, true, &|_| Ok(()))
         .expect_err("huge")
         .to_string();
     assert!(message.contains("huge.exr"), "{message}");
     let hdr = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 900000 +X 900000\n";
-    let message = Picture::decode(Path::new("huge.hdr"), hdr, &|_| Ok(()))
+    let message = Picture::decode(Path::new("huge.hdr"), hdr, true, &|_| Ok(()))
         .expect_err("huge")
         .to_string();
     assert!(message.contains("huge.hdr"), "{message}");
@@ -340,7 +340,7 @@ fn distortion_coefficients_are_found_in_every_dialect() {
     let expected = Distortion {
         k: [0.1, -0.02, 0.0, 0.0],
         p: [0.001, -0.002],
-        denominator: [0.0; 3],
+        ..Distortion::default()
     };
     assert_eq!(named, expected);
     let listed = with(
@@ -371,6 +371,7 @@ fn distortion_and_its_inverse_undo_each_other() {
             ],
             p: [coefficient(0.01), coefficient(0.01)],
             denominator: [coefficient(0.02), coefficient(0.01), coefficient(0.01)],
+            fisheye: false,
         };
         let u = DVec2::new(coefficient(1.4), coefficient(1.4));
         assert!(
@@ -1123,7 +1124,10 @@ fn every_bad_field_has_its_message() {
             |m| m["frames"][0]["file_path"] = json!(null),
             "frames[0].file_path is missing",
         ),
-        (|m| m["camera_model"] = json!("OPENCV_FISHEYE"), "undistort"),
+        (
+            |m| m["camera_model"] = json!("THIN_PRISM_FISHEYE"),
+            "undistort",
+        ),
         (|m| m["fl_x"] = json!(-3), "fl_x is -3"),
         (|m| m["w"] = json!(1e9), "w is 1000000000"),
         (
@@ -1197,7 +1201,7 @@ fn every_bad_file_has_its_message() {
         ),
         (
             |f| f.manifest["mesh_path"] = json!("rgba_half_zip.exr"),
-            &["not a mesh format", "OBJ or PLY"],
+            &["not a mesh format", "OBJ, PLY, GLB or glTF"],
         ),
         (|f| f.write("box.obj", ""), &["box.obj", "empty"]),
         (
@@ -1263,9 +1267,12 @@ fn damaged_files_never_panic() {
     ] {
         let original = bytes(name);
         for _ in 0..150 {
-            let _ = Picture::decode(Path::new(name), &damaged(&original, &mut random), &|_| {
-                Ok(())
-            });
+            let _ = Picture::decode(
+                Path::new(name),
+                &damaged(&original, &mut random),
+                true,
+                &|_| Ok(()),
+            );
         }
     }
     for name in [
@@ -1278,9 +1285,12 @@ fn damaged_files_never_panic() {
     ] {
         let original = bytes(name);
         for _ in 0..150 {
-            let _ = Picture::decode(Path::new(name), &damaged(&original, &mut random), &|_| {
-                Ok(())
-            });
+            let _ = Picture::decode(
+                Path::new(name),
+                &damaged(&original, &mut random),
+                true,
+                &|_| Ok(()),
+            );
         }
     }
     for name in ["box.obj", "box_ascii.ply", "box_binary.ply"] {

@@ -1,6 +1,7 @@
 //! The command line: one file per command. Results go to stdout, progress and warnings to stderr, and every error is
 //! printed here, once.
 
+mod align;
 mod bench;
 mod demo;
 mod export;
@@ -73,6 +74,10 @@ enum Command {
     ///
     /// Without --for: light maps and lists, cameras, scenes for Blender and Mitsuba, glTF, USD and OBJ.
     Export(export::ExportArgs),
+    /// Bring the mesh of a capture into the cameras' frame, by the silhouettes of its photographs
+    ///
+    /// The images must have alpha or masks. The transform is written into transforms.json as mesh_transform.
+    Align(align::AlignArgs),
     /// Merge brackets of exposures to linear EXR files, all on one scale
     ///
     /// Photographs that belong together are found by their EXIF data: taken one after the other with the same camera, each
@@ -130,6 +135,7 @@ fn execute(cli: &Cli) -> anyhow::Result<()> {
         Some(Command::Solve(args)) => solve::run(args, cli.output),
         Some(Command::Render(args)) => render::run(args, cli.output),
         Some(Command::Export(args)) => export::run(args, cli.output),
+        Some(Command::Align(args)) => align::run(args, cli.output),
         Some(Command::Merge(args)) => merge::run(args, cli.output),
         Some(Command::Synth(args)) => synth::run(args, cli.output),
         Some(Command::Bench(args)) => bench::run(args, cli.output),

@@ -157,12 +157,16 @@ fn pixels(view: &ViewReport, findings: &mut Findings) {
 fn silhouettes(report: &Report, findings: &mut Findings) {
     const ADVICE: &str =
         "Check this view's matrix and intrinsics, the mesh's frame, and the mask or alpha.";
+    const ALIGN: &str = "The mesh may be in another frame than the cameras: rekindle align CAPTURE finds its place.";
     let known: Vec<(&ViewReport, f64)> = report
         .views
         .iter()
         .filter(|view| view.object_pixels > 0 && !view.inside)
         .filter_map(|view| Some((view, view.silhouette_iou?)))
         .collect();
+    // One view that is off is that view's; all are the mesh's.
+    let all_off = known.len() > 1 && known.iter().all(|(_, iou)| *iou < IOU_FAIR);
+    let advice = if all_off { ALIGN } else { ADVICE };
     for &(view, iou) in known.iter().filter(|(_, iou)| *iou < IOU_FAIR) {
         let severity = if iou < IOU_HOPELESS {
             Severity::Error
@@ -175,14 +179,14 @@ fn silhouettes(report: &Report, findings: &mut Findings) {
              down) from the mesh.",
             percent(iou)
         );
-        findings.add(severity, &view.name, message, ADVICE);
+        findings.add(severity, &view.name, message, advice);
     }
     let least = known
         .iter()
         .map(|(_, iou)| *iou)
         .fold(f64::INFINITY, f64::min);
     if known.is_empty() {
-        let message = "No image has alpha or a mask, so that mesh and pictures cannot be compared.";
+        let message = "No image has alpha or a mask: what the object covers is taken from the mesh, and the two cannot be compared.";
         findings.add(
             Severity::Note,
             "silhouettes",

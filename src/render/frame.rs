@@ -108,7 +108,11 @@ impl Frame {
             ndc_centre(camera.centre.y, jitter[1], size[1]),
         ];
         let d = &camera.distortion;
-        self.distorted = u32::from(!d.is_none());
+        self.distorted = if d.fisheye {
+            2
+        } else {
+            u32::from(!d.is_none())
+        };
         self.radial = d.k.map(|k| k as f32);
         self.tangential = d.p.map(|p| p as f32);
         let [a, b, c] = d.denominator.map(|k| k as f32);

@@ -603,7 +603,7 @@ fn a_camera_with_distortion_sees_what_the_reference_sees() {
     request.camera.distortion = Distortion {
         k: [-0.25, 0.08, 0.0, 0.0],
         p: [0.004, -0.003],
-        denominator: [0.0; 3],
+        ..Distortion::default()
     };
     request.camera.centre += glam::DVec2::new(5.0, -3.0);
     let [beauty, ..] = reference(

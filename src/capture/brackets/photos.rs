@@ -140,7 +140,7 @@ fn read(group: &Group) -> Result<Vec<Part>, CaptureError> {
             Ok(Part {
                 path: photo.path.clone(),
                 amount: photo.shot.settings.as_ref().map(Settings::amount),
-                picture: Picture::read(&photo.path, "the command", &|_| Ok(()))?,
+                picture: Picture::read(&photo.path, "the command", true, &|_| Ok(()))?,
             })
         })
         .collect();
