@@ -1,7 +1,7 @@
 //! Cameras and meshes as other programs write them: by files of COLMAP itself, and by the conventions of the others.
 
 use super::manifest::Manifest;
-use super::{Camera, CaptureError, gltf, mesh_file, read_cameras};
+use super::{Camera, CaptureError, gltf, mesh_file, read_cameras, transforms};
 use crate::damage::{Random, damaged};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use serde_json::{Value, json};
@@ -50,6 +50,12 @@ fn cameras_project_as_colmap_does() {
         assert_eq!(cameras.len(), 7);
         let off = disagreement(&cameras);
         assert!(off < 1e-6, "{kind}: {off} pixels");
+        // What is written of them is read the same.
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("transforms.json");
+        fs::write(&path, transforms(&cameras).to_string()).expect("written");
+        let off = disagreement(&read_cameras(&path).expect("cameras"));
+        assert!(off < 1e-6, "{kind}, written: {off} pixels");
     }
 }
 

@@ -29,6 +29,7 @@ fn frame(name: &str, camera: &Camera) -> Value {
     let [k5, k6, k7] = distortion.denominator;
     let rational = distortion.denominator != [0.0; 3];
     let model = match (distortion.is_none(), rational) {
+        _ if distortion.fisheye => "OPENCV_FISHEYE",
         (true, _) => "PINHOLE",
         (false, false) => "OPENCV",
         (false, true) => "FULL_OPENCV",

@@ -660,6 +660,7 @@ mod tests {
                 k: [0.1, -0.02, 0.003, 0.0],
                 p: [1e-3, -2e-3],
                 denominator: [0.04, 0.05, 0.06],
+                fisheye: false,
             },
             world_from_camera: DAffine3::from_rotation_translation(
                 DQuat::from_rotation_x(0.3),
