@@ -10,7 +10,7 @@ use eframe::egui::{
 use super::commands::Action;
 use super::settings::Estimation;
 use super::theme::Mark;
-use super::{Request, Shared, theme};
+use super::{Request, Shared, exposures, theme};
 use crate::capture::Capture;
 use crate::estimate::{Method, SpecularModel};
 use crate::preflight::{Finding, Severity, Thumbnail};
@@ -77,6 +77,10 @@ impl CapturePage {
                 ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
                     self.facts_ui(ui);
                     ui.add_space(theme::GAP);
+                    if let Some(brackets) = &self.opened.capture.brackets {
+                        exposures::show(ui, brackets);
+                        ui.add_space(theme::GAP);
+                    }
                     theme::group(ui, "Estimation");
                     estimation_ui(ui, &mut shared.settings.estimation);
                 });

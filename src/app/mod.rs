@@ -8,6 +8,7 @@ mod capture_page;
 mod commands;
 mod disc;
 mod estimation;
+mod exposures;
 mod menus;
 mod navigation;
 mod notices;

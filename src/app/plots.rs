@@ -179,7 +179,7 @@ fn profile_plot(ui: &mut egui::Ui, tried: &[Tried], marks: Marks, height: f32) {
 }
 
 /// Where the pointer is, or the data point that it is near.
-fn place(position: &HoverPosition<'_>) -> PlotPoint {
+pub(super) fn place(position: &HoverPosition<'_>) -> PlotPoint {
     match position {
         HoverPosition::NearDataPoint { position, .. } | HoverPosition::Elsewhere { position } => {
             *position

@@ -25,7 +25,7 @@ mod write_cameras;
 
 pub use brackets::{
     Brackets, ExposureUse, Group, KNOTS, MergedPhoto, Origin, Photo, Photos, Response, Settings,
-    Shot, TABLE, Table, group,
+    Shot,
 };
 pub use camera::{Camera, Distortion};
 pub use demo::{DEMO, unpack_demo};

@@ -7,7 +7,7 @@
 
 use super::super::error::CaptureError;
 use super::super::picture::{Encoding, Picture};
-use super::response::Response;
+use super::response::{Origin, Response};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -26,6 +26,41 @@ const BRIGHT: f64 = 0.02;
 /// where the exposures are stated as equal, beyond the second they can't be.
 const ODD: f64 = 1.2;
 const DIFFERENT: f64 = 1.1;
+
+/// Variance of a value whose rounding is `step`, both in parts of full scale.
+fn variance(value: f64, step: f64) -> f64 {
+    step * step + PHOTON_NOISE * value.max(0.0)
+}
+
+/// How wide a code is, in codes of 8 bits.
+fn code_width(encoding: Encoding) -> f64 {
+    match encoding {
+        Encoding::Srgb8 => 1.0,
+        Encoding::Linear16 | Encoding::Float => 255.0 * FINE_STEP,
+    }
+}
+
+/// The share of each exposure in the weights of a pixel of this radiance, by green: what [`merge`] gives them.
+pub(super) fn shares(uses: &[ExposureUse], response: &Response, radiance: f64) -> Vec<f64> {
+    const GREEN: usize = 1;
+    let linear = response.assumed == Origin::Linear;
+    let width = code_width(if linear {
+        Encoding::Linear16
+    } else {
+        Encoding::Srgb8
+    });
+    let weights = uses.iter().map(|exposure| {
+        let value = radiance * exposure.amount;
+        let code = response.code(GREEN, value as f32);
+        code.map_or(0.0, |code| {
+            let step = width * f64::from(response.slope(GREEN, code));
+            exposure.amount * exposure.amount / variance(value, step)
+        })
+    });
+    let weights: Vec<f64> = weights.collect();
+    let total = weights.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+    weights.into_iter().map(|w| w / total).collect()
+}
 
 /// One file of a view.
 #[derive(Debug)]
@@ -82,10 +117,7 @@ impl Part {
             Some(codes) => {
                 let code = codes[i];
                 let values = [0, 1, 2].map(|c| f64::from(response.exposure(c, code[c])));
-                let width = match picture.encoding {
-                    Encoding::Srgb8 => 1.0,
-                    Encoding::Linear16 | Encoding::Float => 255.0 * FINE_STEP,
-                };
+                let width = code_width(picture.encoding);
                 let steps = [0, 1, 2].map(|c| width * f64::from(response.slope(c, code[c])));
                 (values, steps)
             }
@@ -94,8 +126,11 @@ impl Part {
             (Some(_), Some(alpha)) => f64::from(alpha[i]),
             _ => 1.0,
         };
-        let variance = |c: usize| steps[c] * steps[c] + PHOTON_NOISE * values[c].max(0.0);
-        (values, alpha, [0, 1, 2].map(variance))
+        (
+            values,
+            alpha,
+            [0, 1, 2].map(|c| variance(values[c], steps[c])),
+        )
     }
 }
 

@@ -14,14 +14,15 @@ mod table;
 #[cfg(test)]
 mod tests;
 
-pub use groups::{Group, Photo, group};
+pub use groups::{Group, Photo};
 pub use merge::ExposureUse;
 pub(super) use merge::{Merged, Part, merge};
 pub use photos::{MergedPhoto, Photos};
 pub(super) use response::srgb_to_linear;
 pub use response::{KNOTS, Origin, Response};
 pub use shot::{Settings, Shot};
-pub use table::{TABLE, Table};
+use table::TABLE;
+pub(super) use table::Table;
 
 use super::error::CaptureError;
 use super::manifest::Manifest;
@@ -41,6 +42,16 @@ pub struct Brackets {
 }
 
 impl Brackets {
+    /// Relative exposure of full scale, in green.
+    pub fn full_scale(&self) -> f64 {
+        f64::from(self.response.curves[1][KNOTS - 1])
+    }
+
+    /// The share of each exposure of a view in the weights of a pixel of this radiance.
+    pub fn shares(&self, view: &[ExposureUse], radiance: f64) -> Vec<f64> {
+        merge::shares(view, &self.response, radiance)
+    }
+
     /// What a user should know of the response, in a whole sentence.
     pub(super) fn note(&self) -> Option<String> {
         let Response {

@@ -31,6 +31,8 @@ pub enum Origin {
 pub struct Response {
     /// Where it comes from.
     pub origin: Origin,
+    /// What the files are taken to have if nothing tells otherwise.
+    pub assumed: Origin,
     /// Relative exposure of the codes 0, 1/255 … 1 in each channel; never falling, code 0 is none.
     pub curves: [Vec<f32>; 3],
     /// Root mean square disagreement of the exposures of one point under this response, as a part of its radiance; none
@@ -45,17 +47,10 @@ pub struct Response {
 impl Response {
     /// The response that files are taken as.
     pub(super) fn assumed(origin: Origin) -> Self {
-        let curve: Vec<f32> = (0..KNOTS)
-            .map(|k| {
-                let code = k as f32 / (KNOTS - 1) as f32;
-                match origin {
-                    Origin::Linear => code,
-                    _ => srgb_to_linear(code),
-                }
-            })
-            .collect();
+        let curve = usual(origin);
         Self {
             origin,
+            assumed: origin,
             curves: [curve.clone(), curve.clone(), curve],
             disagreement: None,
             disagreement_assumed: None,
@@ -66,6 +61,23 @@ impl Response {
     /// Whether it is what the files are taken as anyway.
     pub fn is_assumed(&self) -> bool {
         matches!(self.origin, Origin::Srgb | Origin::Linear)
+    }
+
+    /// The curve that the files are taken to have if nothing tells otherwise.
+    pub fn usual(&self) -> Vec<f32> {
+        usual(self.assumed)
+    }
+
+    /// The 16-bit code of a relative exposure, none from full scale on.
+    pub(super) fn code(&self, channel: usize, exposure: f32) -> Option<u16> {
+        let curve = &self.curves[channel];
+        let above = curve.partition_point(|&e| e <= exposure);
+        if above == 0 || above == KNOTS {
+            return (above == 0).then_some(0);
+        }
+        let (low, high) = (curve[above - 1], curve[above]);
+        let part = (exposure - low) / (high - low);
+        Some(((above - 1) as f32 * f32::from(STEP) + part * f32::from(STEP)) as u16)
     }
 
     /// Relative exposure of a 16-bit code; 8-bit codes are multiples of 257.
@@ -85,6 +97,15 @@ impl Response {
         let knot = usize::from(code / STEP);
         let (low, high) = (knot.saturating_sub(1), (knot + 1).min(KNOTS - 1));
         (curve[high] - curve[low]) / (high - low) as f32
+    }
+}
+
+/// The curve of an assumption.
+fn usual(origin: Origin) -> Vec<f32> {
+    let codes = (0..KNOTS).map(|k| k as f32 / (KNOTS - 1) as f32);
+    match origin {
+        Origin::Linear => codes.collect(),
+        _ => codes.map(srgb_to_linear).collect(),
     }
 }
 
