@@ -3,11 +3,14 @@
 
 mod driver;
 
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use driver::{Window, click, drawn, finished, has, still, wait_for, wait_for_iteration};
 use eframe::egui;
 use egui_kittest::kittest::Queryable as _;
+use rekindle::synth::{Encode, Files, Recipe, make};
+use rekindle::worker::Source;
 
 /// Writes the window's picture once it is final.
 fn shoot(window: &mut Window, name: &str) {
@@ -107,4 +110,21 @@ fn small_and_light() {
     snap(&mut window, "light_estimating");
     wait_for(&mut window, "Light 1");
     shoot(&mut window, "light_relit");
+}
+
+#[test]
+#[ignore = "writes pictures"]
+fn brackets_of_a_camera_with_a_response_of_its_own() {
+    let folder = tempfile::tempdir().expect("folder");
+    let capture = folder.path().join("figurine");
+    let mut recipe = Recipe::default();
+    recipe.views.size = [480, 360];
+    recipe.views.supersampling = 1;
+    recipe.sensor.files = Files::Brackets { count: 5, stops: 1 };
+    recipe.sensor.response = Encode::Film;
+    recipe.truth_pictures = false;
+    make(&recipe, &capture, &mut |_, _| ControlFlow::Continue(())).expect("a capture");
+    let mut window = drawn([1280.0, 800.0], Some(Source::Path(capture)));
+    wait_for(&mut window, "Findings");
+    shoot(&mut window, "brackets");
 }
