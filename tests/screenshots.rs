@@ -77,6 +77,12 @@ fn every_state() {
     shoot(&mut window, "export");
     window.key_press(egui::Key::Escape);
     window.step();
+    let shifted = egui::Modifiers::COMMAND | egui::Modifiers::SHIFT;
+    window.key_press_modifiers(shifted, egui::Key::E);
+    window.step();
+    shoot(&mut window, "export_programs");
+    window.key_press(egui::Key::Escape);
+    window.step();
     window.key_press(egui::Key::Num3);
     window.step();
     click(&mut window, "Difference");

@@ -23,6 +23,8 @@ pub enum Action {
     Redo,
     /// Write pictures or an animation.
     Export,
+    /// Write the object and its light for other programs.
+    ExportObject,
     /// Add a lamp.
     AddLamp,
     /// Put a copy of the selected lamp beside it.
@@ -225,10 +227,17 @@ pub const ENTRIES: &[Entry] = &[
     ),
     entry(
         Action::Export,
-        "Export…",
+        "Export pictures…",
         Menu::File,
         Some((CTRL, Key::E)),
         "Write pictures or an animation, made by the reference renderer",
+    ),
+    entry(
+        Action::ExportObject,
+        "Export for other programs…",
+        Menu::File,
+        Some((CTRL.plus(SHIFT), Key::E)),
+        "Write the object and its light for Blender, Mitsuba, glTF, USD and others",
     ),
     entry(
         Action::AddLamp,

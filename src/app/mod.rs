@@ -424,7 +424,9 @@ impl App {
             | Action::Darker
             | Action::Histogram
             | Action::ResetExposure => self.viewport().is_some(),
-            Action::Export => self.document().is_some() && self.job.is_none(),
+            Action::Export | Action::ExportObject => {
+                self.document().is_some() && self.job.is_none()
+            }
             Action::AddLamp
             | Action::DuplicateLamp
             | Action::DeleteLamp
@@ -508,6 +510,7 @@ impl App {
                 ctx.send_viewport_cmd(egui::ViewportCommand::Fullscreen(!full));
             }
             Action::Export
+            | Action::ExportObject
             | Action::AddLamp
             | Action::DuplicateLamp
             | Action::DeleteLamp

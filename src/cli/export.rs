@@ -10,7 +10,7 @@ use super::render::check_output;
 use super::{OutputArgs, print_json, print_line};
 use crate::capture::read_cameras;
 use crate::interchange::{
-    Anchor, Asset, Form, Job, JobError, MapLayout, Orientation, USUAL_F0, export, reflectance,
+    Anchor, Form, Job, JobError, MapLayout, Orientation, Source, USUAL_F0, export, reflectance,
 };
 use crate::relight;
 use crate::solution::{Solution, solution_folder};
@@ -23,7 +23,7 @@ pub(super) struct ExportArgs {
     /// Folder for the files
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Only what these programs and forms need (default: everything)
+    /// Only what these programs and forms need (default: all but layers)
     #[arg(long = "for", value_name = "FORM", value_delimiter = ',')]
     forms: Vec<Form>,
     /// File with edits of the lighting
@@ -103,16 +103,15 @@ pub(super) fn run(args: &ExportArgs, output: OutputArgs) -> anyhow::Result<()> {
     };
     let lighting = relight::apply(&edits, &solution.lighting())?;
     interrupt::check()?;
-    let asset = Asset::new(&solution, &lighting, &cameras, anchor);
-    warn(&progress, &asset);
-    if cameras.is_empty() && args.forms.contains(&Form::Cameras) {
+    let wants_cameras = |form: &Form| matches!(form, Form::Cameras | Form::Layers);
+    if cameras.is_empty() && args.forms.iter().any(wants_cameras) {
         bail!(
             "{}: the solution has no cameras; name a file with them by --cameras, or solve the capture again",
             args.solution.display()
         );
     }
     let forms: &[Form] = if args.forms.is_empty() {
-        &Form::ALL
+        &Form::USUAL
     } else {
         &args.forms
     };
@@ -127,34 +126,30 @@ pub(super) fn run(args: &ExportArgs, output: OutputArgs) -> anyhow::Result<()> {
         calibration: args.calibration,
         folder: args.output.clone(),
     };
+    let source = Source {
+        solution: &solution,
+        lighting: &lighting,
+        names: &[],
+        cameras: &cameras,
+        anchor,
+    };
     let mut report = |what: &str, part: f32| progress.stage(&format!("writing {what}"), part);
-    let files =
-        export(&asset, &job, &interrupt::asked, &mut report).map_err(|error| match error {
-            JobError::Stopped => anyhow::Error::from(Interrupted),
-            other => other.into(),
-        })?;
+    let exported = export(&source, &job, &interrupt::asked, &mut report).map_err(|e| match e {
+        JobError::Stopped => anyhow::Error::from(Interrupted),
+        other => other.into(),
+    })?;
     progress.finish();
     if output.json {
-        print_json(&serde_json::json!({ "files": files }));
+        print_json(&serde_json::json!({
+            "files": exported.files,
+            "notes": exported.notes,
+            "beckmann_db": exported.fidelity.map(|f| f.beckmann_db),
+            "ggx_db": exported.fidelity.map(|f| f.ggx_db),
+        }));
     } else if !output.quiet {
-        print_line(&format!("{}: {} files", args.output.display(), files.len()));
+        let count = exported.files.len();
+        print_line(&format!("{}: {count} files", args.output.display()));
+        exported.notes.iter().for_each(|note| print_line(note));
     }
     Ok(())
-}
-
-fn warn(progress: &Progress, asset: &Asset) {
-    if asset.material.f0 >= 0.9 {
-        progress.warn(
-            "with so high an albedo the surface would have to be a mirror; it is less, choose a smaller --white-albedo",
-        );
-    }
-    let (part, largest) = asset.too_bright();
-    if part > 0.0 {
-        progress.warn(&format!(
-            "{:.1} % of the texture would have to reflect more light than arrives, up to {largest:.2} times, and is cut; \
-             --f0 {:.3} or less leaves all of it below 1",
-            100.0 * part,
-            asset.material.f0 / largest
-        ));
-    }
 }

@@ -30,7 +30,7 @@ fn to_io(error: exr::error::Error) -> io::Error {
 pub(super) fn write(
     path: &Path,
     [width, height]: [u32; 2],
-    channels: &[&str],
+    channels: &[String],
     stop: Stop,
     produce: impl FnOnce(&mut Sink) -> io::Result<()>,
 ) -> io::Result<()> {

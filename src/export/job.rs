@@ -6,15 +6,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::Vec3;
-use rayon::prelude::*;
 use serde_json::Value;
 use thiserror::Error;
 
 use super::exr_bands::{self, Sink};
+use super::layers::Layers;
 use super::png_file::{Animation, Depth, PngFile, Shown};
 use super::renderer::{LitScene, Renderer};
 use crate::capture::Camera;
-use crate::relight::{Band, Lighting, ShadingPoint, Stop};
+use crate::relight::{Band, Lighting, Stop};
 use crate::solution::{Solution, Staging};
 use crate::studio::ViewTransform;
 
@@ -43,8 +43,10 @@ pub struct Job {
     pub png: Option<Depth>,
     /// Write EXR files: linear radiance, premultiplied by alpha.
     pub exr: bool,
-    /// Put layers beside the picture in EXR files: diffuse, specular, albedo, normal and depth.
+    /// Put layers beside the picture in EXR files: diffuse, specular, albedo, irradiance, normal, position and depth.
     pub layers: bool,
+    /// Put a layer for each lamp, and one for all other light, into EXR files; they add up to the picture.
+    pub light_groups: bool,
     /// Write all shots, which must be of one size, as an animated PNG of this name (without extension) and speed in frames
     /// per second.
     pub animation: Option<(String, u16)>,
@@ -95,29 +97,6 @@ pub enum ExportError {
         source: io::Error,
     },
 }
-
-/// Channels of an EXR file, in alphabetical order: without layers, and with them. Normals are of the world, unit; depth is
-/// the distance along the camera's axis in mesh units, 0 where there is nothing.
-const CHANNELS: [&str; 4] = ["A", "B", "G", "R"];
-const LAYERED: [&str; 17] = [
-    "A",
-    "B",
-    "G",
-    "R",
-    "Z",
-    "albedo.B",
-    "albedo.G",
-    "albedo.R",
-    "diffuse.B",
-    "diffuse.G",
-    "diffuse.R",
-    "normal.X",
-    "normal.Y",
-    "normal.Z",
-    "specular.B",
-    "specular.G",
-    "specular.R",
-];
 
 impl Job {
     fn check(&self) -> Result<(), ExportError> {
@@ -178,7 +157,7 @@ pub fn export(
         animation: None,
         files: Vec::new(),
     };
-    let mut lit: Option<(&Lighting, LitScene)> = None;
+    let mut lit: Option<(&Lighting, LitScene, Layers)> = None;
     for (i, shot) in job.shots.iter().enumerate() {
         let done = |part: f32| (i as f32 + part) / job.shots.len() as f32;
         progress(done(0.0), &shot.stem);
@@ -186,13 +165,17 @@ pub fn export(
             return Err(ExportError::Stopped);
         }
         let lighting = shot.lighting.as_ref();
-        if lit.as_ref().is_none_or(|(before, _)| *before != lighting) {
-            lit = Some((lighting, renderer.light(lighting)));
+        if lit.as_ref().is_none_or(|(before, ..)| *before != lighting) {
+            let mut layers = Layers::new(job.layers);
+            if job.exr && job.light_groups {
+                layers = layers.with_groups(renderer, lighting, stop);
+            }
+            lit = Some((lighting, renderer.light(lighting), layers));
         }
-        if let Some((_, lit)) = &lit {
+        if let Some((_, lit, layers)) = &lit {
             let mut rows_done = |part: f32| progress(done(part), &shot.stem);
             writer
-                .shoot(renderer.solution(), lit, shot, stop, &mut rows_done)
+                .shoot(renderer.solution(), lit, layers, shot, stop, &mut rows_done)
                 .map_err(failed)?;
         }
     }
@@ -226,6 +209,7 @@ impl Writer<'_> {
         &mut self,
         solution: &Solution,
         lit: &LitScene,
+        layers: &Layers,
         shot: &Shot,
         stop: Stop,
         progress: &mut dyn FnMut(f32),
@@ -241,7 +225,6 @@ impl Writer<'_> {
         };
         let mut frame = self.job.animation.is_some().then(Vec::new);
         let shown = self.shown;
-        let layers = self.job.layers;
         let mut render = |mut exr: Option<&mut Sink>| {
             let mut problem = None;
             let all = lit.bands(camera, stop, &mut |band| {
@@ -254,7 +237,8 @@ impl Writer<'_> {
                         frame.extend(shown.encode(&rgb, &band.coverage, Depth::Eight));
                     }
                     if let Some(exr) = &mut exr {
-                        exr(&planes(solution, camera, band, &rgb, layers))?;
+                        let planes = layers.planes(solution, camera, band, &rgb, stop);
+                        exr(&planes.ok_or_else(|| io::Error::other("stopped"))?)?;
                     }
                     Ok(())
                 };
@@ -278,8 +262,8 @@ impl Writer<'_> {
         if self.job.exr {
             let name = format!("{}.exr", shot.stem);
             let path = self.folder.join(&name);
-            let channels: &[&str] = if layers { &LAYERED } else { &CHANNELS };
-            exr_bands::write(&path, size, channels, stop, |sink| render(Some(sink)))?;
+            let channels = layers.names();
+            exr_bands::write(&path, size, &channels, stop, |sink| render(Some(sink)))?;
             self.files.push(name);
         } else {
             render(None)?;
@@ -333,49 +317,4 @@ fn sum(band: &Band) -> Vec<[f32; 3]> {
         .zip(&band.specular)
         .map(|(&d, &s)| (Vec3::from(d) + Vec3::from(s)).to_array())
         .collect()
-}
-
-/// The values of each channel, in the order of [`CHANNELS`] or [`LAYERED`].
-fn planes(
-    solution: &Solution,
-    camera: &Camera,
-    band: &Band,
-    rgb: &[[f32; 3]],
-    layers: bool,
-) -> Vec<Vec<f32>> {
-    let channel = |pixels: &[[f32; 3]], c: usize| pixels.iter().map(|p| p[c]).collect();
-    let all = |pixels: &[[f32; 3]]| [2, 1, 0].map(|c| channel(pixels, c));
-    let mut planes = vec![band.coverage.clone()];
-    planes.extend(all(rgb));
-    if !layers {
-        return planes;
-    }
-    let pixels: Vec<([f32; 3], [f32; 3], f32)> = (0..rgb.len())
-        .into_par_iter()
-        .map(|i| {
-            let samples = band.samples.of(i);
-            let (mut colour, mut normal, mut depth) = (Vec3::ZERO, Vec3::ZERO, 0.0);
-            for s in samples {
-                let point = ShadingPoint::on(&solution.mesh, s.triangle, s.barycentric);
-                colour += solution
-                    .atlas
-                    .sample(&solution.albedo, s.triangle, s.barycentric);
-                normal += point.normal;
-                depth -= camera.to_camera(point.position.as_dvec3()).z as f32;
-            }
-            (
-                (colour / band.samples.full() as f32).to_array(),
-                normal.normalize_or_zero().to_array(),
-                depth / samples.len().max(1) as f32,
-            )
-        })
-        .collect();
-    let depths = pixels.iter().map(|p| p.2).collect();
-    let (albedo, normals): (Vec<_>, Vec<_>) = pixels.into_iter().map(|p| (p.0, p.1)).unzip();
-    planes.push(depths);
-    planes.extend(all(&albedo));
-    planes.extend(all(&band.diffuse));
-    planes.extend([0, 1, 2].map(|c| channel(&normals, c)));
-    planes.extend(all(&band.specular));
-    planes
 }

@@ -5,6 +5,7 @@
 
 mod exr_bands;
 mod job;
+mod layers;
 mod motion;
 mod png_file;
 mod renderer;

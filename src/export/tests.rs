@@ -28,6 +28,7 @@ fn job(folder: &Path, lighting: &Lighting) -> Job {
         png: None,
         exr: false,
         layers: false,
+        light_groups: false,
         animation: None,
         transform: ViewTransform::Agx,
         exposure: 2.0,
@@ -100,6 +101,68 @@ fn an_exr_holds_what_the_reference_renderer_gives_in_layers() {
     let albedo = channel(&file, "albedo.G")[middle];
     assert!((albedo - 0.015).abs() < 1e-4, "albedo {albedo}");
     assert_eq!(channel(&file, "Z")[0], 0.0);
+}
+
+#[test]
+fn light_groups_add_up_to_the_picture_and_are_its_lamps() {
+    let solution = solution();
+    let renderer = Renderer::new(&solution);
+    let folder = tempfile::tempdir().unwrap();
+    let mut document = moved(&solution);
+    document.edit("Mute", |s, _| {
+        s.look_mut().lamp_mut(LampId(1)).unwrap().muted = true;
+    });
+    for lighting in [renderer.original(), &document.light().lighting] {
+        let job = Job {
+            exr: true,
+            layers: true,
+            light_groups: true,
+            ..job(folder.path(), lighting)
+        };
+        run(&renderer, &job).unwrap();
+        let file = folder.path().join("view.exr");
+        let lit = |i: usize| !lighting.lamps[i].muted;
+        let lamps: Vec<usize> = (0..3).filter(|&i| lit(i)).collect();
+        let mut names: Vec<String> = lamps.iter().map(|i| format!("light_{}", i + 1)).collect();
+        names.push("light_rest".to_owned());
+        for c in ["R", "G", "B"] {
+            let groups = names.iter().map(|n| channel(&file, &format!("{n}.{c}")));
+            let sum = groups.reduce(|a, b| a.iter().zip(b).map(|(a, b)| a + b).collect());
+            assert_eq!(sum.unwrap(), channel(&file, c));
+            // The factors of the diffuse part.
+            let product: Vec<f32> = channel(&file, &format!("albedo.{c}"))
+                .iter()
+                .zip(channel(&file, &format!("irradiance.{c}")))
+                .map(|(a, b)| a * b)
+                .collect();
+            for (found, diffuse) in product.iter().zip(channel(&file, &format!("diffuse.{c}"))) {
+                assert!(
+                    (found - diffuse).abs() <= 1e-5 * diffuse,
+                    "{found}, {diffuse}"
+                );
+            }
+        }
+        // One lamp's group is the picture that it makes alone.
+        let mut alone = lighting.clone();
+        alone.lamps = vec![lighting.lamps[0].clone()];
+        alone.remainder.clear();
+        alone.ambient = Vec3::ZERO;
+        let expected = renderer.light(&alone).picture(&view());
+        let found = channel(&file, "light_1.G");
+        let sum = |i: usize| expected.diffuse[i][1] + expected.specular[i][1];
+        let total: f32 = (0..found.len()).map(sum).sum();
+        let off: f32 = (0..found.len()).map(|i| (found[i] - sum(i)).abs()).sum();
+        assert!(off < 0.02 * total, "{off} of {total}");
+        // The middle of the picture lies where its channels say.
+        let middle = 35 * 75 + 37;
+        let at =
+            Vec3::from(["X", "Y", "Z"].map(|a| channel(&file, &format!("position.{a}"))[middle]));
+        let seen = view().project(at.as_dvec3()).unwrap();
+        assert!(
+            seen.distance(glam::DVec2::new(37.5, 35.5)) < 0.5,
+            "seen at {seen}"
+        );
+    }
 }
 
 #[test]

@@ -18,6 +18,21 @@ pub enum Anchor {
     WhiteAlbedo(f32),
 }
 
+/// What is to be exported.
+#[derive(Clone, Copy)]
+pub struct Source<'a> {
+    /// The object.
+    pub solution: &'a Solution,
+    /// Its light, in the solution's world and K_S-scaled.
+    pub lighting: &'a Lighting,
+    /// Name of each of its lamps; without, they are numbered.
+    pub names: &'a [String],
+    /// Views to look from, with their names.
+    pub cameras: &'a [(String, Camera)],
+    /// What fixes the scale.
+    pub anchor: Anchor,
+}
+
 /// The object and its light.
 #[derive(Clone, Debug)]
 pub struct Asset {
@@ -37,6 +52,8 @@ pub struct Asset {
     pub lighting: Lighting,
     /// Name of every lamp.
     pub lamp_names: Vec<String>,
+    /// Place of every lamp, counted from 1, among those of the source, muted ones too.
+    pub lamp_numbers: Vec<usize>,
     /// Views to look from, with their names.
     pub cameras: Vec<(String, Camera)>,
     /// Radiance to be shown as white.
@@ -46,26 +63,27 @@ pub struct Asset {
 }
 
 impl Asset {
-    /// The solution under this light, seen by these cameras.
-    pub fn new(
-        solution: &Solution,
-        lighting: &Lighting,
-        cameras: &[(String, Camera)],
-        anchor: Anchor,
-    ) -> Self {
+    /// What other programs get of a source.
+    pub fn new(source: &Source) -> Self {
+        let Source {
+            solution,
+            lighting,
+            cameras,
+            anchor,
+            ..
+        } = *source;
         let turn = upright(lighting.up);
         let material = material(solution, anchor);
         let factor = PI * material.specular_scale * material.behind_surface();
-        let kept = lighting.lamps.iter().enumerate();
-        let (lamp_names, lamps) = kept
+        let (lamp_numbers, lamps): (Vec<usize>, Vec<LampNodes>) = (1..)
+            .zip(&lighting.lamps)
             .filter(|(_, lamp)| !lamp.muted)
-            .map(|(i, lamp)| {
-                (
-                    format!("Light {}", i + 1),
-                    turned_lamp(lamp, turn, &material),
-                )
-            })
+            .map(|(number, lamp)| (number, turned_lamp(lamp, turn, &material)))
             .unzip();
+        let name = |&number: &usize| {
+            let given = source.names.get(number - 1);
+            given.map_or_else(|| format!("Light {number}"), String::clone)
+        };
         Self {
             name: solution.name.clone(),
             mesh: turned_mesh(&solution.mesh, turn),
@@ -90,7 +108,8 @@ impl Asset {
                 radius: lighting.radius,
                 up: turn * lighting.up,
             },
-            lamp_names,
+            lamp_names: lamp_numbers.iter().map(name).collect(),
+            lamp_numbers,
             cameras: cameras
                 .iter()
                 .map(|(name, camera)| (name.clone(), turned_camera(camera, turn)))

@@ -4,16 +4,21 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde_json::Value;
 use thiserror::Error;
 
-use super::asset::Asset;
+use super::asset::{Asset, Source};
+use super::fidelity::{Fidelity, fidelity};
 use super::light_map::{MapLayout, Orientation, Part};
+use super::notes::{notes, readme};
 use super::{blender, glb, light_list, mitsuba, obj, textures, usd};
 use crate::capture::transforms;
+use crate::export::{self as pictures, ExportError, Renderer};
 use crate::relight::Stop;
 use crate::solution::Staging;
+use crate::studio::ViewTransform;
 
 /// Names of files that others refer to.
 const OBJ: &str = "object.obj";
@@ -22,6 +27,7 @@ const COLOUR_PNG: &str = "base_color.png";
 const COLOUR_EXR: &str = "base_color.exr";
 const LIGHT: &str = "light.exr";
 const REST: &str = "light_without_lamps.exr";
+const README: &str = "README.txt";
 
 /// The widest map, and the narrowest.
 const WIDTHS: std::ops::RangeInclusive<u32> = 16..=16384;
@@ -43,11 +49,13 @@ pub enum Form {
     Usd,
     /// Wavefront OBJ with MTL and texture
     Obj,
+    /// Pictures from the cameras as EXR with layers and a light group for each lamp
+    Layers,
 }
 
 impl Form {
-    /// All of them.
-    pub const ALL: [Self; 7] = [
+    /// Those that are commonly wanted: all but pictures, which take their time.
+    pub const USUAL: [Self; 7] = [
         Self::Light,
         Self::Cameras,
         Self::Blender,
@@ -87,6 +95,9 @@ pub enum JobError {
         /// Asked for.
         width: u32,
     },
+    /// The pictures with layers can't be made.
+    #[error(transparent)]
+    Pictures(ExportError),
     /// Writing failed.
     #[error(
         "{path}: can't be written: {source}; choose a folder you may write to, on a disk with space left"
@@ -99,14 +110,24 @@ pub enum JobError {
     },
 }
 
-/// Writes a job's files, all or none of them. `progress` hears which file is being written and which part is done. Returns
-/// their paths.
+/// What was written.
+#[derive(Clone, Debug)]
+pub struct Exported {
+    /// Paths of the files.
+    pub files: Vec<PathBuf>,
+    /// What other programs show differently, in whole sentences.
+    pub notes: Vec<String>,
+    /// How near their materials come, where that can be told.
+    pub fidelity: Option<Fidelity>,
+}
+
+/// Writes a job's files, all or none of them. `progress` hears what is being done and which part is done.
 pub fn export(
-    asset: &Asset,
+    source: &Source,
     job: &Job,
     stop: Stop,
     progress: &mut dyn FnMut(&str, f32),
-) -> Result<Vec<PathBuf>, JobError> {
+) -> Result<Exported, JobError> {
     let width = job.layout.width;
     if !WIDTHS.contains(&width) || !width.is_multiple_of(2) {
         return Err(JobError::Width { width });
@@ -116,20 +137,76 @@ pub fn export(
         source,
     };
     let staging = Staging::within(&job.folder).map_err(failed)?;
-    let files = files(asset, job);
+    let asset = Asset::new(source);
+    let mut names = Vec::new();
+    let pictures = job.forms.contains(&Form::Layers) && !asset.cameras.is_empty();
+    // Pictures take most of the time.
+    let (written, compared) = if pictures { (0.1, 0.15) } else { (0.7, 1.0) };
+    let files = files(&asset, job);
     for (i, file) in files.iter().enumerate() {
-        progress(&file.name, i as f32 / files.len() as f32);
+        progress(&file.name, written * i as f32 / files.len() as f32);
         if stop() {
             return Err(JobError::Stopped);
         }
         (file.write)(&staging.path().join(&file.name)).map_err(failed)?;
+        names.push(file.name.clone());
     }
+    progress("comparison of materials", written);
+    let fidelity = fidelity(&asset, stop);
+    if pictures {
+        let mut part = |part: f32, what: &str| progress(what, compared + (1.0 - compared) * part);
+        names.extend(layered_pictures(source, staging.path(), stop, &mut part)?);
+    }
+    let notes = notes(&asset, fidelity);
+    fs::write(staging.path().join(README), readme(&asset, &names, &notes)).map_err(failed)?;
+    names.push(README.to_owned());
     if stop() {
         return Err(JobError::Stopped);
     }
     staging.add().map_err(failed)?;
-    progress("", 1.0);
-    Ok(files.iter().map(|f| job.folder.join(&f.name)).collect())
+    Ok(Exported {
+        files: names.iter().map(|name| job.folder.join(name)).collect(),
+        notes,
+        fidelity,
+    })
+}
+
+/// Renders an EXR file with all layers for each camera. Returns their names.
+fn layered_pictures(
+    source: &Source,
+    folder: &Path,
+    stop: Stop,
+    progress: &mut dyn FnMut(f32, &str),
+) -> Result<Vec<String>, JobError> {
+    let renderer = Renderer::new(source.solution);
+    let lighting = Arc::new(source.lighting.clone());
+    let shots = (1..).zip(source.cameras).map(|(number, (name, camera))| {
+        let stem = Path::new(name).file_stem().unwrap_or_default();
+        pictures::Shot {
+            stem: format!("layers_{number:03}_{}", stem.to_string_lossy()),
+            camera: camera.clone(),
+            lighting: Arc::clone(&lighting),
+        }
+    });
+    let job = pictures::Job {
+        shots: shots.collect(),
+        png: None,
+        exr: true,
+        layers: true,
+        light_groups: true,
+        animation: None,
+        transform: ViewTransform::default(),
+        exposure: 1.0,
+        background: None,
+        edits: None,
+        folder: folder.to_owned(),
+    };
+    let files = pictures::export(&renderer, &job, stop, progress).map_err(|error| match error {
+        ExportError::Stopped => JobError::Stopped,
+        other => JobError::Pictures(other),
+    })?;
+    let names = files.iter().filter_map(|f| f.file_name());
+    Ok(names.map(|n| n.to_string_lossy().into_owned()).collect())
 }
 
 type Write<'a> = Box<dyn Fn(&Path) -> io::Result<()> + 'a>;
@@ -206,8 +283,8 @@ impl<'a> Files<'a> {
     }
 
     fn lamps(&mut self) {
-        for index in 0..self.asset.lighting.lamps.len() {
-            let name = format!("light_lamp_{}.exr", index + 1);
+        for (index, number) in self.asset.lamp_numbers.iter().enumerate() {
+            let name = format!("light_{number}.exr");
             self.map(&name, self.layout, Part::Lamp(index));
         }
         self.map("light_rest.exr", self.layout, Part::Rest);
@@ -301,6 +378,7 @@ fn files<'a>(asset: &'a Asset, job: &Job) -> Vec<File<'a>> {
             }),
             Form::Usd => files.usd(),
             Form::Obj => files.mesh(),
+            Form::Layers => {}
         }
     }
     if job.per_lamp {

@@ -117,25 +117,7 @@ impl Question {
                         self.files_ui(ui);
                     });
                 ui.add_space(theme::GAP * 0.5);
-                let problem = self.problem();
-                ui.horizontal(|ui| {
-                    let button = theme::main_button(ui, "Choose folder…");
-                    let button = ui.add_enabled(problem.is_none(), button);
-                    let tip = "Choose where the files go, then export";
-                    if button
-                        .on_hover_text(tip)
-                        .on_disabled_hover_text(problem.unwrap_or_default())
-                        .clicked()
-                    {
-                        answer = Answer::Export;
-                    }
-                    if ui.button("Cancel").on_hover_text("Back to work").clicked() {
-                        answer = Answer::Closed;
-                    }
-                    if let Some(problem) = problem {
-                        ui.weak(problem);
-                    }
-                });
+                answer = buttons(ui, self.problem());
             });
         if modal.should_close() && answer == Answer::Nothing {
             answer = Answer::Closed;
@@ -271,7 +253,7 @@ impl Question {
             ui.checkbox(&mut self.exr, "EXR")
                 .on_hover_text("Linear radiance, 32-bit float, premultiplied alpha");
             ui.add_enabled(self.exr, egui::Checkbox::new(&mut self.layers, "Layers"))
-                .on_hover_text("Diffuse, specular, albedo, normal and depth beside the picture");
+                .on_hover_text("Diffuse, specular, albedo, irradiance, normal, position, depth and the light of each lamp beside the picture");
         });
         ui.end_row();
         if self.is_moving() {
@@ -352,6 +334,7 @@ impl Question {
             }),
             exr: self.exr,
             layers: self.layers,
+            light_groups: self.layers,
             edits: self.edits.then(|| {
                 let edits = document.look().edits(document.base());
                 (format!("{name}_edits"), edits)
@@ -363,6 +346,30 @@ impl Question {
             folder: folder.to_owned(),
         }
     }
+}
+
+/// The buttons of a question about exports; `problem` says why there is nothing to export.
+pub(super) fn buttons(ui: &mut egui::Ui, problem: Option<&str>) -> Answer {
+    let mut answer = Answer::Nothing;
+    ui.horizontal(|ui| {
+        let button = theme::main_button(ui, "Choose folder…");
+        let button = ui.add_enabled(problem.is_none(), button);
+        let tip = "Choose where the files go, then export";
+        if button
+            .on_hover_text(tip)
+            .on_disabled_hover_text(problem.unwrap_or_default())
+            .clicked()
+        {
+            answer = Answer::Export;
+        }
+        if ui.button("Cancel").on_hover_text("Back to work").clicked() {
+            answer = Answer::Closed;
+        }
+        if let Some(problem) = problem {
+            ui.weak(problem);
+        }
+    });
+    answer
 }
 
 /// The cameras of input views with file names that differ.

@@ -2,7 +2,7 @@
 //!
 //! The document is changed by [`looks`], [`lamps`], [`surroundings`] and [`hemisphere`] on the left, and over the viewport by
 //! [`handles`] and [`pointing`]. They share what is selected ([`editing`]), and every change goes through the document's
-//! history. [`exporting`] writes pictures.
+//! history. [`exporting`] writes pictures, [`programs`] the object and its light for other programs.
 
 mod editing;
 mod exporting;
@@ -11,6 +11,7 @@ mod hemisphere;
 mod lamps;
 mod looks;
 mod pointing;
+mod programs;
 mod surroundings;
 #[cfg(test)]
 mod tests;
@@ -23,7 +24,7 @@ use eframe::egui;
 use super::commands::Action;
 use super::viewport::{Object, Scene, Viewport};
 use super::{Shared, theme};
-use crate::capture::Capture;
+use crate::capture::{Camera, Capture};
 use crate::hemisphere::FromAbove;
 use crate::studio::{Document, Place};
 use crate::worker::{Command, Latest, Purpose, Rendered, Subject, Worker};
@@ -32,7 +33,15 @@ use exporting::{Answer, Question, Screen};
 use handles::{Handles, Seen};
 use hemisphere::LitDisc;
 use pointing::Pointing;
+use programs::Programs;
 use surroundings::Probes;
+
+/// A question about exports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Asked {
+    Pictures,
+    Programs,
+}
 
 /// A document that is being edited.
 pub struct Relighting {
@@ -46,9 +55,12 @@ pub struct Relighting {
     /// Pixels of the disc, once they are found.
     from_above: Arc<Latest<FromAbove>>,
     prepared: bool,
-    question: Option<Question>,
-    /// The question as it was answered, while a folder is chosen and the pictures are made.
-    answered: Question,
+    /// The question that is open.
+    question: Option<Asked>,
+    /// The question that was answered last, while a folder is chosen and the files are made.
+    answered: Asked,
+    pictures: Question,
+    programs: Programs,
 }
 
 impl Relighting {
@@ -74,7 +86,9 @@ impl Relighting {
             from_above: Arc::default(),
             prepared: false,
             question: None,
-            answered: Question::default(),
+            answered: Asked::Pictures,
+            pictures: Question::default(),
+            programs: Programs::default(),
         }
     }
 
@@ -111,7 +125,7 @@ impl Relighting {
     /// Whether a command about lamps and looks can be given.
     pub(super) fn enabled(&self, action: Action) -> bool {
         match action {
-            Action::AddLamp | Action::NextLamp | Action::NextLook | Action::Export => true,
+            Action::AddLamp | Action::NextLamp | Action::NextLook => true,
             _ => self.editing.selected(self.document.look()).is_some(),
         }
     }
@@ -129,7 +143,8 @@ impl Relighting {
                 editing.select(next.map(|l| l.id));
             }
             (Action::NextLook, _) => looks::next(document),
-            (Action::Export, _) => self.question = Some(std::mem::take(&mut self.answered)),
+            (Action::Export, _) => self.question = Some(Asked::Pictures),
+            (Action::ExportObject, _) => self.question = Some(Asked::Programs),
             (Action::MuteLamp, Some(id)) => lamps::mute(document, id),
             (Action::SoloLamp, Some(id)) => lamps::solo(document, id),
             (Action::DuplicateLamp, Some(id)) => lamps::duplicate(document, editing, id),
@@ -148,6 +163,10 @@ impl Relighting {
 
     /// The command that exports into a folder as was asked.
     pub(super) fn export_to(&self, folder: &Path) -> Option<Command> {
+        if self.answered == Asked::Programs {
+            let cameras = self.cameras().to_vec();
+            return Some(self.programs.command(&self.document, cameras, folder));
+        }
         let seen = Seen::from(self.viewport.seen()?);
         let (transform, exposure, background) = self.viewport.shown_as();
         let screen = Screen {
@@ -158,8 +177,18 @@ impl Relighting {
             background,
         };
         let lamp = self.editing.selected(self.document.look()).map(|l| l.id);
-        let job = self.answered.job(&self.document, lamp, &screen, folder);
+        let job = self.pictures.job(&self.document, lamp, &screen, folder);
         Some(exporting::command(self.document.solution(), job))
+    }
+
+    /// Names and cameras of the input views: the solution's own, or those of the open capture.
+    fn cameras(&self) -> &[(String, Camera)] {
+        let own = &self.document.solution().cameras;
+        if own.is_empty() {
+            self.viewport.named_cameras()
+        } else {
+            own
+        }
     }
 
     /// Finds beside the window's thread what takes too long between two frames.
@@ -267,16 +296,24 @@ impl Relighting {
     }
 
     fn question_ui(&mut self, ctx: &egui::Context, shared: &mut Shared<'_>) {
-        let Some(mut question) = self.question.take() else {
-            return;
+        let answer = match self.question {
+            None => return,
+            Some(Asked::Pictures) => {
+                let lamp = self.editing.selected(self.document.look());
+                let cameras = self.viewport.cameras();
+                let lamp = lamp.map(|l| l.name.as_str());
+                self.pictures.show(ctx, cameras, lamp)
+            }
+            Some(Asked::Programs) => {
+                let cameras = self.cameras().len();
+                self.programs.show(ctx, cameras)
+            }
         };
-        let lamp = self.editing.selected(self.document.look());
-        let cameras = self.viewport.cameras();
-        match question.show(ctx, cameras, lamp.map(|l| l.name.as_str())) {
-            Answer::Nothing => self.question = Some(question),
-            Answer::Closed => self.answered = question,
+        match answer {
+            Answer::Nothing => {}
+            Answer::Closed => self.question = None,
             Answer::Export => {
-                self.answered = question;
+                self.answered = self.question.take().unwrap_or(Asked::Pictures);
                 let start = self.document.project().and_then(Path::parent);
                 shared.worker.pick(Purpose::ExportFolder, start);
             }

@@ -345,3 +345,29 @@ fn an_export_is_stopped_and_leaves_nothing() {
     wait_for(&mut window, "Export stopped");
     assert!(!target.exists(), "nothing is left");
 }
+
+#[test]
+fn other_programs_get_the_light_of_the_look_that_is_shown() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    click(&mut window, "Mute Light 2");
+    key(
+        &mut window,
+        Modifiers::COMMAND | Modifiers::SHIFT,
+        egui::Key::E,
+    );
+    wait_for(&mut window, "Export for other programs");
+    click(&mut window, "Mitsuba 3");
+    click(&mut window, "One for each lamp");
+    click(&mut window, "Choose folder…");
+    let target = folder.path().join("programs");
+    give_path(&mut window, &target);
+    wait_for(&mut window, "Exported");
+    let read = |name: &str| std::fs::read_to_string(target.join(name)).expect(name);
+    let lamps = read("lights.csv");
+    assert!(lamps.contains("Light 1") && lamps.contains("Light 3"));
+    assert!(!lamps.contains("Light 2"), "it is muted: {lamps}");
+    assert!(target.join("light_3.exr").exists() && !target.join("light_2.exr").exists());
+    assert!(target.join("object.glb").exists() && !target.join("mitsuba.xml").exists());
+    assert!(read("README.txt").contains("object.glb"));
+}
