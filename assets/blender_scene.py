@@ -56,8 +56,8 @@ def linear_space():
 def add_object(scene, here):
     path = str(here / (OBJECT or scene["mesh"]))
     if path.endswith(".glb"):
-        # Without the conversion from lux: lights are in the units of the colours.
-        bpy.ops.import_scene.gltf(filepath=path, export_import_convert_lighting_mode="RAW")
+        # "Unitless" there: lights are in the units of the colours, not in lux.
+        bpy.ops.import_scene.gltf(filepath=path, export_import_convert_lighting_mode="COMPAT")
     elif path.endswith(".usda"):
         bpy.ops.wm.usd_import(filepath=path)
     else:
@@ -209,7 +209,10 @@ def main():
     scene = json.loads((here / "scene.json").read_text())
     for obj in list(bpy.data.objects):
         bpy.data.objects.remove(obj)
-    bpy.context.scene.world = None
+    # Blender begins with grey light from everywhere, and importers want a world to be there.
+    world = bpy.context.scene.world = bpy.data.worlds.new("Dark")
+    world.use_nodes = True
+    world.node_tree.nodes.clear()
     add_object(scene, here)
     if LIGHT == "lamps":
         add_lamps(scene)

@@ -226,18 +226,18 @@ pub const ENTRIES: &[Entry] = &[
         "Undo the last change of the light",
     ),
     entry(
-        Action::Export,
-        "Export pictures…",
-        Menu::File,
-        Some((CTRL, Key::E)),
-        "Write pictures or an animation, made by the reference renderer",
-    ),
-    entry(
         Action::ExportObject,
         "Export for other programs…",
         Menu::File,
         Some((CTRL.plus(SHIFT), Key::E)),
         "Write the object and its light for Blender, Mitsuba, glTF, USD and others",
+    ),
+    entry(
+        Action::Export,
+        "Export pictures…",
+        Menu::File,
+        Some((CTRL, Key::E)),
+        "Write pictures or an animation, made by the reference renderer",
     ),
     entry(
         Action::AddLamp,

@@ -320,13 +320,7 @@ impl<'a> Files<'a> {
         };
         self.base_colour(base_colour, factor);
         let own = self.layout.oriented(Orientation::Mitsuba);
-        let light = if asset.lighting.radius.is_some() {
-            // Near lamps are spheres there.
-            self.map("light_mitsuba.exr", own, Part::Rest);
-            "light_mitsuba.exr"
-        } else {
-            self.own_light(own, "light_mitsuba.exr")
-        };
+        let light = self.distant_light(own, "light_mitsuba.exr");
         self.text("mitsuba.xml", move || {
             let files = mitsuba::Files {
                 mesh: OBJ,
@@ -341,7 +335,7 @@ impl<'a> Files<'a> {
         let asset = self.asset;
         self.base_colour_png();
         let own = self.layout.oriented(Orientation::Usd);
-        let light = self.own_light(own, "light_usd.exr");
+        let light = self.distant_light(own, "light_usd.exr");
         self.text("object.usda", move || {
             let files = usd::Files {
                 base_colour: COLOUR_PNG,
@@ -355,6 +349,15 @@ impl<'a> Files<'a> {
     fn own_light(&mut self, own: MapLayout, name: &'static str) -> &'static str {
         let name = if own == self.layout { LIGHT } else { name };
         self.map(name, own, Part::Whole);
+        name
+    }
+
+    /// The same without near lamps, which are lamps in that program's scene.
+    fn distant_light(&mut self, own: MapLayout, name: &'static str) -> &'static str {
+        if self.asset.lighting.radius.is_none() {
+            return self.own_light(own, name);
+        }
+        self.map(name, own, Part::Rest);
         name
     }
 }

@@ -18,7 +18,7 @@ pub struct Files<'a> {
     pub mesh: &'a str,
     /// Linear base colour, EXR.
     pub base_colour: &'a str,
-    /// The light that is not made of near lamps, lat-long in Mitsuba's orientation.
+    /// The light that is not of near lamps, lat-long in Mitsuba's orientation.
     pub light: &'a str,
 }
 

@@ -87,6 +87,11 @@ pub fn notes(asset: &Asset, fidelity: Option<Fidelity>) -> Vec<String> {
 /// What lies in the folder and how to open it.
 pub fn readme(asset: &Asset, files: &[String], notes: &[String]) -> String {
     let mut text = format!("{}, exported by rekindle\n\n", asset.name);
+    if files.iter().any(|f| f.starts_with("layers_")) {
+        text.push_str(
+            "layers_*.exr       pictures with layers; the light_ layers add up to the picture\n",
+        );
+    }
     for (name, what) in [
         (
             "blender_scene.py",
@@ -95,7 +100,7 @@ pub fn readme(asset: &Asset, files: &[String], notes: &[String]) -> String {
         ("mitsuba.xml", "mitsuba mitsuba.xml: object, light, cameras"),
         (
             "object.glb",
-            "glTF, lamps included; lights are in units of the colours (in Blender: Lighting Mode \"Raw\")",
+            "glTF, lamps included; lights are in units of the colours (in Blender: Lighting Mode \"Unitless\")",
         ),
         (
             "object.usda",

@@ -439,7 +439,9 @@ fn a_stopped_export_leaves_nothing() {
 fn materials_come_as_near_as_their_lobes() {
     let solution = fixtures::solution();
     let (lighting, cameras) = (solution.lighting(), cameras());
-    let asset = Asset::new(&source(&solution, &lighting, &cameras));
+    let mut asset = Asset::new(&source(&solution, &lighting, &cameras));
+    // Other programs let the surface mirror it, which on so dark a one is more than it lights.
+    asset.lighting.ambient = Vec3::ZERO;
     let near = fidelity::fidelity(&asset, &|| false).unwrap();
     // The lobe is the same there; its tails are not.
     assert!(near.beckmann_db > near.ggx_db + 3.0, "{near:?}");

@@ -1,7 +1,7 @@
 //! The object as USD in its text form: a mesh with a preview surface, the light as a dome and the lamps as distant lights.
 //!
 //! The dome holds the whole light. The lamps are there too, switched off by their visibility: to relight, hide the dome and
-//! show them.
+//! show them. Lamps that are near shine themselves, and the dome holds the rest.
 
 use std::fmt::{Display, Write as _};
 
@@ -15,7 +15,7 @@ use crate::capture::Camera;
 pub struct Files<'a> {
     /// The base colour, PNG.
     pub base_colour: &'a str,
-    /// The whole light, lat-long in USD's orientation.
+    /// The light that is not of near lamps, lat-long in USD's orientation.
     pub light: &'a str,
 }
 
@@ -158,11 +158,16 @@ fn light(text: &mut String, index: usize, lamp: &ListedLamp) {
             4.0 * strength * distance * distance,
         ),
     };
+    let visibility = if lamp.distance.is_some() {
+        ""
+    } else {
+        "        token visibility = \"invisible\"\n"
+    };
     let [r, g, b] = colour;
     let _ = write!(
         text,
         "    def {kind} \"Light_{}\" (\n        displayName = \"{}\"\n    )\n    {{\n\
-         \x20       token visibility = \"invisible\"\n\
+         {visibility}\
          \x20       {shape}\n\
          \x20       color3f inputs:color = ({r}, {g}, {b})\n\
          \x20       float inputs:intensity = {intensity}\n\

@@ -1,11 +1,11 @@
 """Loads what rekindle exports in the real programs and compares their pictures with rekindle's own.
 
     pip install bpy mitsuba numpy OpenEXR
-    python tests/interop/check.py target/release/rekindle CAPTURE [--out FOLDER] [--size 320] [--samples 64]
+    python tests/interop/check.py target/release/rekindle CAPTURE [--out FOLDER] [--size 240] [--samples 256]
 
 Solves the capture, exports it, renders its input views in rekindle, in Blender (Cycles, on the processor) and in Mitsuba 3, and
 prints a table of PSNR: sRGB-encoded, white at the 99.5th percentile, over the pixels that the object covers. Fails where a
-program comes out below its target. Blender runs in a process of its own; so does every import of a single file into it.
+program comes out below its target. The light's map is left out for near lamps, which no map can show.
 """
 
 import argparse
@@ -24,7 +24,7 @@ TARGETS = {
     "Blender, Beckmann, probe": 28.0,
     "Blender, Principled (GGX), lamps": 28.0,
     "Blender, glTF with its lamps": 28.0,
-    "Blender, USD with its dome": 28.0,
+    "Blender, USD with its light": 28.0,
 }
 
 
@@ -91,8 +91,8 @@ def main():
     parser.add_argument("rekindle", type=Path)
     parser.add_argument("capture", type=Path)
     parser.add_argument("--out", type=Path, default=Path("interop"))
-    parser.add_argument("--size", type=int, default=320, help="columns of the pictures")
-    parser.add_argument("--samples", type=int, default=64, help="samples per pixel")
+    parser.add_argument("--size", type=int, default=240, help="columns of the pictures")
+    parser.add_argument("--samples", type=int, default=256, help="samples per pixel")
     parser.add_argument("--map", type=int, default=1024, help="columns of the light's map")
     args = parser.parse_args()
     out = args.out.resolve()
@@ -104,6 +104,7 @@ def main():
         "--size", args.map, "--quiet")
     run(args.rekindle, "render", solution, "-o", reference, "--cameras", out / "cameras.json", "--quiet")
 
+    near = json.loads((exported / "lights.json").read_text())["radius"] is not None
     report = []
     folder = out / "mitsuba"
     folder.mkdir(exist_ok=True)
@@ -114,8 +115,10 @@ def main():
         "Blender, Beckmann, probe": ["--light", "probe", "--material", "beckmann"],
         "Blender, Principled (GGX), lamps": ["--light", "lamps", "--material", "principled"],
         "Blender, glTF with its lamps": ["--light", "imported", "--object", "object.glb"],
-        "Blender, USD with its dome": ["--light", "imported", "--object", "object.usda"],
+        "Blender, USD with its light": ["--light", "imported", "--object", "object.usda"],
     }.items():
+        if near and "probe" in name:
+            continue
         folder = out / name.lower().replace(", ", "_").replace(" ", "_")
         run(sys.executable, exported / "blender_scene.py", "--render", folder,
             "--samples", args.samples, *options)
