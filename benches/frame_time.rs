@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, anyhow};
 use glam::{DAffine3, DQuat, DVec3, Quat, Vec3};
 use rekindle::capture::{Camera, Capture, read_cameras, unpack_demo};
-use rekindle::estimate::{EstimateParams, Method, SpecularChoice, Unobserved};
+use rekindle::estimate::{EstimateParams, Unobserved};
 use rekindle::hemisphere::HemisphereGrid;
 use rekindle::relight::{LampNodes, LightNode, Lighting};
 use rekindle::render::{Background, FrameRequest, Gpu, Mode, Renderer, Surface};
@@ -55,10 +55,7 @@ fn run(arguments: &[String]) -> anyhow::Result<()> {
     } else {
         let capture = Capture::load(demo.path())?;
         let options = SolveOptions {
-            estimate: EstimateParams {
-                method: Method::Fast,
-                specular: SpecularChoice::Auto,
-            },
+            estimate: EstimateParams::default(),
             frequency: 70,
             radius: None,
         };

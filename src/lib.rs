@@ -13,6 +13,7 @@ pub mod hemisphere;
 pub mod interchange;
 pub mod math;
 pub mod preflight;
+pub mod registration;
 pub mod relight;
 pub mod render;
 pub mod solution;

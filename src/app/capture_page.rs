@@ -361,6 +361,12 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
             }
         });
         ui.end_row();
+        ui.label("Views");
+        ui.checkbox(&mut settings.as_stated, "As stated").on_hover_text(
+            "Take cameras and exposures as the capture states them. Otherwise cameras are turned until the outlines fit, \
+             and exposures evened out, where either is clearly off",
+        );
+        ui.end_row();
     });
     let changed = *settings != Estimation::default();
     let reset = ui

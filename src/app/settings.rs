@@ -42,6 +42,8 @@ pub struct Estimation {
     pub frequency: u32,
     /// Distance of the lights in place of the capture's.
     pub radius: Option<f32>,
+    /// Whether cameras and exposures are taken as the capture states them.
+    pub as_stated: bool,
 }
 
 /// How hemispheres are shown.
@@ -76,6 +78,7 @@ impl Default for Estimation {
             specular: None,
             frequency: 70,
             radius: None,
+            as_stated: false,
         }
     }
 }
@@ -109,6 +112,7 @@ impl Estimation {
                 specular: self
                     .specular
                     .map_or(SpecularChoice::Auto, SpecularChoice::Model),
+                as_stated: self.as_stated,
             },
             frequency: self.frequency,
             radius: self.radius,

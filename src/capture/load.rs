@@ -10,6 +10,7 @@ use super::{Capture, LightHemisphere, Photograph, View, mesh_file};
 use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Radiance from here on counts as infinite: its square is, and some programs write the largest number for infinity.
 const INFINITE: f32 = 1e19;
@@ -335,7 +336,7 @@ fn make_view(
     Ok(View {
         name: frame.name.clone(),
         camera: frame.lens.camera(size, frame.world_from_camera),
-        photograph,
+        photograph: Arc::new(photograph),
     })
 }
 

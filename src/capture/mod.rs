@@ -34,6 +34,8 @@ pub use load::{Covered, PixelCounts, read_cameras, read_covered, read_radiance};
 pub use mesh::{Mesh, SurfacePoint};
 pub use write_cameras::{camera_matrix, transforms};
 
+use std::sync::Arc;
+
 use glam::DVec3;
 
 /// One photograph as linear radiance.
@@ -60,7 +62,7 @@ pub struct View {
     /// Where it was taken from; same size as the photograph.
     pub camera: Camera,
     /// What was measured.
-    pub photograph: Photograph,
+    pub photograph: Arc<Photograph>,
 }
 
 /// The hemisphere on which the lights are sought.

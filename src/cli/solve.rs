@@ -40,6 +40,9 @@ pub(super) struct EstimationArgs {
     /// Distance of the lights from the object's centre, in mesh units (default: what the capture states, or distant)
     #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     radius: Option<f32>,
+    /// Take cameras and exposures as stated, even where outlines and radiances do not fit
+    #[arg(long)]
+    as_stated: bool,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -83,6 +86,7 @@ impl Default for EstimationArgs {
             specular: SpecularArg::Auto,
             frequency: 70,
             radius: None,
+            as_stated: false,
         }
     }
 }
@@ -97,6 +101,7 @@ impl EstimationArgs {
                     SpecularArg::Microfacet => SpecularChoice::Model(SpecularModel::Microfacet),
                     SpecularArg::Auto => SpecularChoice::Auto,
                 },
+                as_stated: self.as_stated,
             },
             frequency: self.frequency,
             radius: self.radius,

@@ -8,6 +8,7 @@ mod alternating;
 mod cells;
 mod design;
 mod diagnose;
+mod exposures;
 mod fast;
 mod lamps;
 mod lobes;
@@ -30,6 +31,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::capture::Capture;
 use crate::hemisphere::HemisphereGrid;
+use crate::registration;
 use crate::surface::{Occluder, ViewSurface};
 
 use alternating::{Order, Terms};
@@ -75,6 +77,8 @@ pub struct EstimateParams {
     pub method: Method,
     /// The specular model.
     pub specular: SpecularChoice,
+    /// Whether cameras and exposures are taken as the capture states them, even where they do not fit each other.
+    pub as_stated: bool,
 }
 
 /// What an estimation works on.
@@ -120,6 +124,8 @@ pub struct Estimate {
     pub chosen_because: String,
     /// The surface that all this holds for, where it isn't the capture's mesh: that one is too coarse.
     pub refined: Option<RefinedSurface>,
+    /// How much brighter each view was found to be than the common scale on which all this holds; empty where they agree.
+    pub exposures: Vec<f64>,
 }
 
 /// Estimates roughness and lighting of a capture.
@@ -131,7 +137,7 @@ pub fn estimate(
     observer: &mut dyn Observer,
 ) -> Result<Estimate, Stopped> {
     watched(observer, |watcher| {
-        let result = run(input, params, watcher)?;
+        let result = run(input, params, watcher, Start::default())?;
         // What long sums give after a stop is of no use.
         if watcher.stop().load(Ordering::Relaxed) {
             return Err(Stopped);
@@ -140,10 +146,28 @@ pub fn estimate(
     })
 }
 
+/// What a run goes on from.
+struct Start {
+    clock: Instant,
+    convergence: Vec<Iteration>,
+    exposures: Vec<f64>,
+}
+
+impl Default for Start {
+    fn default() -> Self {
+        Self {
+            clock: Instant::now(),
+            convergence: Vec::new(),
+            exposures: Vec::new(),
+        }
+    }
+}
+
 fn run(
     input: &EstimateInput<'_>,
     params: &EstimateParams,
     mut watcher: &Watcher<'_>,
+    start: Start,
 ) -> Result<Estimate, Stopped> {
     let stop = watcher.stop();
     let observer: &mut dyn Observer = &mut watcher;
@@ -161,7 +185,7 @@ fn run(
         pyramid: &pyramid,
         near: grid.radius.map(|r| (grid.centre, r)),
         coarse: Solver::coarse_observations(&seen, None, stop),
-        started: Instant::now(),
+        started: start.clock,
         stop,
     };
     let mut result = Estimate {
@@ -170,9 +194,10 @@ fn run(
         sigma_interval95: None,
         radiance: vec![[0.0; 3]; grid.directions.len()],
         diagnostics: Diagnostics::default(),
-        convergence: Vec::new(),
+        convergence: start.convergence,
         chosen_because: String::new(),
         refined: None,
+        exposures: start.exposures,
     };
     if let Some(reason) = diagnose::unseparable(input.capture, &solver.coarse) {
         result.diagnostics.warnings.push(reason);
@@ -200,6 +225,22 @@ fn run(
     if let Some(reason) = diagnose::not_sharp(&coarse) {
         result.diagnostics.warnings.push(reason);
         return Ok(result);
+    }
+    if result.exposures.is_empty()
+        && !params.as_stated
+        && let Some(exposures) = exposures::differing(&coarse.state, input.capture.views.len())
+    {
+        let evened = registration::evened(input.capture, &exposures);
+        let start = Start {
+            clock: solver.started,
+            convergence: result.convergence,
+            exposures,
+        };
+        let input = EstimateInput {
+            capture: &evened,
+            ..*input
+        };
+        return run(&input, params, watcher, start);
     }
     let refined = if diagnose::surface_too_coarse(&coarse.state) {
         relief::refine(&solver, params.specular, &mut watch)?

@@ -129,6 +129,11 @@ impl<'a> State<'a> {
         some
     }
 
+    /// Specular radiance of a row under the present lights, in units of the observations' scale.
+    pub fn specular(&self, row: usize) -> [f32; 3] {
+        self.prediction.value[row]
+    }
+
     /// The same lights and σ looked at on other points.
     pub fn on<'b>(&self, design: Design<'b>) -> State<'b> {
         let mut moved = State::new(design, self.cells.clone(), self.brdf);

@@ -3,6 +3,7 @@
 use std::f32::consts::PI;
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
@@ -52,7 +53,7 @@ fn run_on(
     };
     let params = EstimateParams {
         method,
-        specular: SpecularChoice::Auto,
+        ..EstimateParams::default()
     };
     estimate(&input, &params, observer)
 }
@@ -91,7 +92,7 @@ fn views_without_a_common_surface_are_left_diffuse() {
             for x in 0..surface.width {
                 let point = surface.point(&capture.mesh, &view.camera, x, y);
                 let usable = point.is_some_and(|p| side * (p.position.x - middle) > 0.0);
-                view.photograph.usable[(y * surface.width + x) as usize] &= usable;
+                Arc::make_mut(&mut view.photograph).usable[(y * surface.width + x) as usize] &= usable;
             }
         }
     }
@@ -105,7 +106,7 @@ fn a_purely_diffuse_object_is_left_diffuse() {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures/spot_paper/truth/diffuse");
     for (i, view) in capture.views.iter_mut().enumerate() {
         let picture = read_radiance(&folder.join(format!("view_{i:03}.exr"))).unwrap();
-        view.photograph.radiance = picture.2;
+        Arc::make_mut(&mut view.photograph).radiance = picture.2;
     }
     is_diffuse_only(&fast(&capture), "No specular part");
     let reference = run_on(&capture, Method::Amuh, &mut Unobserved).unwrap();
@@ -140,7 +141,8 @@ fn uniform_light_on_a_glossy_object_is_left_diffuse() {
             let noise = 1.0 + 0.005 * Random(pixel as u64 * 0x9e37_79b9_7f4a_7c15).normal();
             [noise * (diffuse + 0.3 * sum * sky.solid_angle); 3]
         };
-        view.photograph.radiance = (0..surface.interior.len()).map(shaded).collect();
+        let radiance = (0..surface.interior.len()).map(shaded).collect();
+        Arc::make_mut(&mut view.photograph).radiance = radiance;
     }
     is_diffuse_only(&fast(&capture), "no detail");
 }
@@ -198,7 +200,7 @@ fn the_scale_of_the_images_only_scales_the_lights() {
         for value in scaled
             .views
             .iter_mut()
-            .flat_map(|v| v.photograph.radiance.iter_mut().flatten())
+            .flat_map(|v| Arc::make_mut(&mut v.photograph).radiance.iter_mut().flatten())
         {
             *value *= factor;
         }

@@ -71,29 +71,42 @@ pub fn residuals(
     Residuals { values, noise }
 }
 
+/// Of each of a point's rows, the part of it that goes into the point's diffuse colour, and the part of the diffuse colour
+/// that it shows.
+pub fn transmitted_share(
+    brdf: &Brdf,
+    cosines: impl Iterator<Item = f32>,
+    weights: &[f32],
+) -> Vec<(f32, f32)> {
+    let transmittance: Vec<f32> = cosines.map(|c| brdf.diffuse_transmittance(c)).collect();
+    let total: f32 = weights
+        .iter()
+        .zip(&transmittance)
+        .map(|(w, t)| w * t * t)
+        .sum();
+    let part = if total > 0.0 { total.recip() } else { 0.0 };
+    weights
+        .iter()
+        .zip(&transmittance)
+        .map(|(w, t)| (w * t * part, *t))
+        .collect()
+}
+
 /// Takes the best multiple of the diffuse transmittance out of one point's rows.
 pub fn eliminate(
     brdf: &Brdf,
-    cosines: impl Iterator<Item = f32> + Clone,
+    cosines: impl Iterator<Item = f32>,
     weights: &[f32],
     values: &mut [[f32; 3]],
 ) {
-    let transmittance = cosines.map(|c| brdf.diffuse_transmittance(c));
-    let total: f32 = weights
-        .iter()
-        .zip(transmittance.clone())
-        .map(|(w, t)| w * t * t)
-        .sum();
-    if total <= 0.0 {
-        return;
-    }
+    let share = transmitted_share(brdf, cosines, weights);
     let mut mean = [0.0_f32; 3];
-    for ((w, t), v) in weights.iter().zip(transmittance.clone()).zip(values.iter()) {
+    for ((into, _), v) in share.iter().zip(values.iter()) {
         for (m, v) in mean.iter_mut().zip(v) {
-            *m += w * t / total * v;
+            *m += into * v;
         }
     }
-    for (t, v) in transmittance.zip(values.iter_mut()) {
+    for ((_, t), v) in share.iter().zip(values.iter_mut()) {
         for (m, v) in mean.iter().zip(v) {
             *v -= t * m;
         }

@@ -190,6 +190,7 @@ mod tests {
     use crate::surface::fixtures::{bumpy_sphere, camera};
     use crate::surface::{Occluder, minimum_texture, wanted_density};
     use glam::DVec3;
+    use std::sync::Arc;
 
     /// A smooth albedo lit from one direction, plus a narrow highlight where the mirror ray meets the light.
     fn radiance(position: Vec3, normal: Vec3, eye: Vec3, light: Vec3) -> (Vec3, Vec3) {
@@ -226,7 +227,7 @@ mod tests {
             views.push(View {
                 name: format!("view {k}"),
                 camera,
-                photograph: Photograph {
+                photograph: Arc::new(Photograph {
                     width: 200,
                     height: 200,
                     radiance: seen.iter().map(|p| p.unwrap_or([0.0; 3])).collect(),
@@ -236,7 +237,7 @@ mod tests {
                             .collect(),
                     ),
                     usable: vec![true; 200 * 200],
-                },
+                }),
             });
             surfaces.push(surface);
         }

@@ -6,7 +6,6 @@
 
 mod findings;
 mod mesh;
-mod shared;
 mod thumbnail;
 mod view;
 
@@ -15,9 +14,13 @@ pub use thumbnail::Thumbnail;
 pub use view::ViewReport;
 
 use crate::capture::{Capture, PixelCounts};
+use crate::registration::Agreement;
 use crate::surface::{Occluder, ViewSurface};
 use rayon::prelude::*;
 use serde::Serialize;
+
+/// Points of the surface at which views are compared.
+const POINTS: usize = 20_000;
 
 /// How much a finding matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -74,7 +77,8 @@ impl Report {
             .iter()
             .map(|view| ViewSurface::new(&capture.mesh, &occluder, &view.camera))
             .collect();
-        let shared = shared::Shared::new(capture, &surfaces);
+        let agreement = Agreement::new(&capture.mesh, &capture.views, &surfaces, POINTS);
+        let exposures = agreement.exposures();
         let views = capture
             .views
             .par_iter()
@@ -84,7 +88,7 @@ impl Report {
                 let counts = pixels.get(i).copied().unwrap_or_default();
                 let report = ViewReport::new(view, counts, surface, &capture.mesh, &occluder);
                 ViewReport {
-                    relative_exposure: shared.exposures[i],
+                    relative_exposure: exposures[i].map(|exposure| exposure.factor),
                     ..report
                 }
             })
@@ -96,7 +100,7 @@ impl Report {
             radius: hemisphere.radius,
             mesh: MeshReport::new(&capture.mesh),
             views,
-            seen_by: shared.seen_by,
+            seen_by: agreement.seen_by(),
             findings: Vec::new(),
         };
         report.findings = findings::judge(&report, &capture.warnings);
@@ -108,6 +112,7 @@ impl Report {
 mod tests {
     use super::*;
     use std::path::Path;
+    use std::sync::Arc;
 
     /// A capture with known truth of the repository.
     fn capture() -> (Capture, Vec<PixelCounts>) {
@@ -142,7 +147,7 @@ mod tests {
     #[test]
     fn a_view_of_another_exposure_is_found() {
         let (mut capture, pixels) = capture();
-        for pixel in &mut capture.views[2].photograph.radiance {
+        for pixel in &mut Arc::make_mut(&mut capture.views[2].photograph).radiance {
             *pixel = pixel.map(|v| 1.5 * v);
         }
         let report = Report::new(&capture, &pixels);
@@ -191,7 +196,7 @@ mod tests {
         for pixel in dim
             .views
             .iter_mut()
-            .flat_map(|view| &mut view.photograph.radiance)
+            .flat_map(|view| &mut Arc::make_mut(&mut view.photograph).radiance)
         {
             *pixel = pixel.map(|v| v * 2.0_f32.powi(-13));
         }

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::{Diagnostics, Iteration, Method, SpecularModel};
+use crate::registration::Correction;
 
 /// What `format` says.
 pub(super) const FORMAT: &str = "rekindle-solution";
@@ -24,6 +25,9 @@ pub(super) struct Manifest {
     pub(super) method: Method,
     pub(super) specular_model: Option<SpecularModel>,
     pub(super) chosen_because: String,
+    /// What was corrected about each view; nothing where all were taken as stated.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) corrections: Vec<Correction>,
     pub(super) sigma: Option<f32>,
     pub(super) sigma_interval95: Option<[f32; 2]>,
     pub(super) hemisphere: Hemisphere,

@@ -35,6 +35,7 @@ use rayon::prelude::*;
 use crate::capture::{Camera, Mesh, read_cameras, transforms};
 use crate::estimate::{Brdf, Diagnostics, Iteration, Method};
 use crate::hemisphere::{HemisphereGrid, Picture, lat_long};
+use crate::registration::Correction;
 use crate::relight::{LampNodes, LightNode, Lighting};
 use crate::surface::Atlas;
 use format::{FORMAT, Head, Hemisphere, Light, Manifest, Nodes, Texture, VERSION};
@@ -83,6 +84,8 @@ pub struct Solution {
     pub brdf: Option<Brdf>,
     /// Why this specular model, in words.
     pub chosen_because: String,
+    /// What was corrected about each view; empty where all were taken as stated.
+    pub corrections: Vec<Correction>,
     /// 95 % interval of σ, radians.
     pub sigma_interval95: Option<[f32; 2]>,
     /// The nodes of light.
@@ -278,6 +281,7 @@ impl Solution {
             method: self.method,
             specular_model: self.brdf.map(|b| b.model),
             chosen_because: self.chosen_because.clone(),
+            corrections: self.corrections.clone(),
             sigma: self.brdf.map(|b| b.sigma),
             sigma_interval95: self.sigma_interval95,
             hemisphere: Hemisphere {
@@ -365,6 +369,7 @@ impl Solution {
                 .zip(manifest.sigma)
                 .map(|(model, sigma)| Brdf { model, sigma }),
             chosen_because: manifest.chosen_because,
+            corrections: manifest.corrections,
             sigma_interval95: manifest.sigma_interval95,
             grid,
             radiance,
@@ -693,6 +698,7 @@ mod tests {
                 sigma: 0.075_123,
             }),
             chosen_because: "it was asked for".to_owned(),
+            corrections: Vec::new(),
             sigma_interval95: Some([0.07, 0.08]),
             lamps: vec![SolutionLamp {
                 name: "Light 1".to_owned(),

@@ -1,5 +1,6 @@
 //! From a capture to a solution: all rooms in their order.
 
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -15,6 +16,7 @@ use crate::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
 };
 use crate::math::rounding::round_to_halves;
+use crate::registration::{Correction, corrected, describe, register};
 use crate::relight::{
     Interreflection, Scene, Shader, Surroundings, ViewFit, reconstruct, separate,
 };
@@ -91,7 +93,7 @@ impl Clock {
 
 /// Solves a capture. `load_s` is how long it took to read, in seconds.
 pub fn solve(
-    capture: &Capture,
+    stated: &Capture,
     options: &SolveOptions,
     load_s: f64,
     observer: &mut dyn Observer,
@@ -100,22 +102,38 @@ pub fn solve(
         since: Instant::now(),
         stages: vec![("load".to_owned(), load_s)],
     };
-    let mut measured = Measured::new(&capture.mesh, &capture.views, observer, SURFACE)?;
-    let grid = hemisphere(capture, options);
+    let mut measured = Measured::new(&stated.mesh, &stated.views, observer, SURFACE)?;
+    let mut corrections = Vec::new();
+    let mut capture = Cow::Borrowed(stated);
+    if !options.estimate.as_stated {
+        corrections = measured.register(stated);
+        capture = corrected(stated, &corrections);
+        if corrections.iter().any(Correction::turns) {
+            measured = Measured::new(&stated.mesh, &capture.views, observer, SURFACE)?;
+        }
+    }
+    let grid = hemisphere(stated, options);
     clock.lap("surface");
 
-    let (pictures, mut minimum) = hemispheres(capture, &measured, &grid, observer)?;
+    let (pictures, mut minimum) = hemispheres(&capture, &measured, &grid, observer)?;
     clock.lap("hemispheres");
 
     report(observer, ESTIMATE)?;
     let input = EstimateInput {
-        capture,
+        capture: &capture,
         surfaces: &measured.surfaces,
         occluder: &measured.occluder,
         grid: &grid,
     };
     let found = estimate(&input, &options.estimate, &mut Part { observer })?;
-    let mut mesh = &capture.mesh;
+    if !found.exposures.is_empty() {
+        corrections.resize(stated.views.len(), Correction::default());
+        for (correction, factor) in corrections.iter_mut().zip(&found.exposures) {
+            correction.exposure *= factor;
+        }
+        capture = corrected(stated, &corrections);
+    }
+    let mut mesh = &stated.mesh;
     if let Some(refined) = &found.refined {
         mesh = &refined.mesh;
         measured = Measured::new(mesh, &capture.views, observer, TEXTURE)?;
@@ -159,14 +177,16 @@ pub fn solve(
     })?;
 
     round_to_halves(&mut texture.confidence);
-    let mut warnings = capture.warnings.clone();
+    let mut warnings = stated.warnings.clone();
+    warnings.extend(describe(&corrections));
     warnings.extend(atlas.warnings.iter().cloned());
     warnings.extend(found.diagnostics.warnings.iter().cloned());
     Ok(Solution {
-        name: capture.name.clone(),
+        name: stated.name.clone(),
         method: found.method,
         brdf: found.brdf,
         chosen_because: found.chosen_because,
+        corrections,
         sigma_interval95: found.sigma_interval95,
         grid,
         radiance: found.radiance,
@@ -228,6 +248,13 @@ impl Measured {
             surfaces,
             atlas,
         })
+    }
+
+    /// What has to be corrected about the views, nothing where they fit each other and the mesh.
+    fn register(&self, capture: &Capture) -> Vec<Correction> {
+        let found = register(&capture.mesh, &capture.views, &self.surfaces, &self.occluder);
+        let none = found.iter().all(|c| *c == Correction::default());
+        if none { Vec::new() } else { found }
     }
 }
 

@@ -16,6 +16,7 @@ mod surroundings;
 #[cfg(test)]
 mod tests;
 
+use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -26,6 +27,7 @@ use super::viewport::{Object, Scene, Viewport};
 use super::{Shared, theme};
 use crate::capture::{Camera, Capture};
 use crate::hemisphere::FromAbove;
+use crate::registration::corrected;
 use crate::studio::{Document, Place};
 use crate::worker::{Command, Latest, Purpose, Rendered, Subject, Worker};
 use editing::Editing;
@@ -67,10 +69,14 @@ impl Relighting {
     /// Shows a document; `capture` is what it was solved from, if that is open.
     pub fn new(document: Document, capture: Option<&Arc<Capture>>) -> Self {
         let solution = document.solution();
+        let registered = capture.map(|capture| match corrected(capture, &solution.corrections) {
+            Cow::Borrowed(_) => Arc::clone(capture),
+            Cow::Owned(registered) => Arc::new(registered),
+        });
         let mut viewport = Viewport::new(
             Object::Solution(Arc::clone(solution)),
             solution.grid.up,
-            capture,
+            registered.as_ref(),
         );
         viewport.allow_comparison();
         viewport.set_white(solution.white());

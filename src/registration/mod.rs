@@ -1,0 +1,225 @@
+//! Do the photographs fit each other and the mesh? Cameras that look a little elsewhere than they are said to, and views
+//! that were exposed differently, are found before anything is estimated from differences between views.
+
+mod agreement;
+mod outline;
+#[cfg(test)]
+mod tests;
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use glam::{DQuat, DVec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+pub use agreement::{Agreement, Exposure};
+
+use crate::capture::{Capture, Mesh, Photograph, View};
+use crate::surface::{Occluder, ViewSurface};
+use outline::Turn;
+
+/// Points of the surface at which the views are compared.
+const POINTS: usize = 5_000;
+
+/// A camera is turned if that moves its outline by this many pixels at least, this many times as far as the outlines are
+/// apart afterwards, and if the square of the turn over its standard error is at least this.
+const LEAST_MOVE: f64 = 0.02;
+const LEAST_BETTER: f64 = 2.0;
+const LEAST_SIGNIFICANCE: f64 = 100.0;
+
+/// Turned cameras are kept unless the views then disagree more by this many standard errors.
+const CLEARLY_WORSE: f64 = 3.0;
+
+/// Views are taken to be exposed alike unless medians differ by this factor: what a varnish reflects at the rim, and what a
+/// bowl sends to itself, makes for half of it.
+const LEAST_RATIO: f64 = 1.025;
+
+/// What has to be changed about a view for it to fit the others and the mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Correction {
+    /// Turn of the camera in its place, about a world axis, degrees.
+    pub turn_deg: [f64; 3],
+    /// How much brighter the photograph is than the views' common scale.
+    pub exposure: f64,
+}
+
+impl Default for Correction {
+    fn default() -> Self {
+        Self {
+            turn_deg: [0.0; 3],
+            exposure: 1.0,
+        }
+    }
+}
+
+impl Correction {
+    /// Whether the camera is turned.
+    pub fn turns(&self) -> bool {
+        self.turn_deg != [0.0; 3]
+    }
+
+    fn rotation(&self) -> DQuat {
+        DQuat::from_scaled_axis(DVec3::from(self.turn_deg) * 1.0_f64.to_radians())
+    }
+
+    /// The view with the correction made.
+    fn applied(&self, view: &View) -> View {
+        let mut corrected = view.clone();
+        if self.turns() {
+            corrected.camera = outline::turned(&view.camera, self.rotation());
+        }
+        if self.exposure != 1.0 {
+            let factor = self.exposure.recip() as f32;
+            let Photograph {
+                width,
+                height,
+                ref radiance,
+                ref coverage,
+                ref usable,
+            } = *view.photograph;
+            let scaled = radiance.par_iter().map(|p| p.map(|v| v * factor));
+            corrected.photograph = Arc::new(Photograph {
+                width,
+                height,
+                radiance: scaled.collect(),
+                coverage: coverage.clone(),
+                usable: usable.clone(),
+            });
+        }
+        corrected
+    }
+}
+
+/// The capture with the corrections made, one a view; itself where there are none.
+pub fn corrected<'a>(capture: &'a Capture, corrections: &[Correction]) -> Cow<'a, Capture> {
+    let fits = corrections.len() == capture.views.len();
+    let none = corrections.iter().all(|c| *c == Correction::default());
+    if !fits || none {
+        return Cow::Borrowed(capture);
+    }
+    let views = capture.views.iter().zip(corrections);
+    Cow::Owned(Capture {
+        views: views.map(|(view, c)| c.applied(view)).collect(),
+        name: capture.name.clone(),
+        mesh: capture.mesh.clone(),
+        light_hemisphere: capture.light_hemisphere,
+        warnings: capture.warnings.clone(),
+    })
+}
+
+/// The capture with each view divided by how much too bright it is.
+pub fn evened<'a>(capture: &'a Capture, exposures: &[f64]) -> Cow<'a, Capture> {
+    let of = |&exposure: &f64| Correction {
+        exposure,
+        ..Correction::default()
+    };
+    corrected(capture, &exposures.iter().map(of).collect::<Vec<_>>())
+}
+
+/// Finds what has to be corrected, one entry a view; `surfaces` are what the stated cameras see.
+pub fn register(
+    mesh: &Mesh,
+    views: &[View],
+    surfaces: &[ViewSurface],
+    occluder: &Occluder,
+) -> Vec<Correction> {
+    let before = Agreement::new(mesh, views, surfaces, POINTS);
+    let mut corrections = vec![Correction::default(); views.len()];
+    let mut agreement = &before;
+    let after = turned(mesh, views, surfaces, occluder, &before);
+    if let Some((turns, after)) = &after {
+        for (correction, turn) in corrections.iter_mut().zip(turns) {
+            correction.turn_deg = turn.to_array();
+        }
+        agreement = after;
+    }
+    let factors: Vec<f64> = agreement
+        .exposures()
+        .iter()
+        .map(|exposure| exposure.map_or(1.0, |e| e.factor))
+        .collect();
+    let differ = |factor: &f64| factor.ln().abs() > LEAST_RATIO.ln();
+    if factors.iter().any(differ) {
+        for (correction, factor) in corrections.iter_mut().zip(factors) {
+            correction.exposure = factor;
+        }
+    }
+    corrections
+}
+
+/// Turns of the cameras, degrees about world axes, with how the views agree after them; `None` if all stay where they are.
+fn turned(
+    mesh: &Mesh,
+    views: &[View],
+    surfaces: &[ViewSurface],
+    occluder: &Occluder,
+    before: &Agreement,
+) -> Option<(Vec<DVec3>, Agreement)> {
+    let turns: Vec<Option<Turn>> = views
+        .par_iter()
+        .zip(surfaces)
+        .map(|(view, surface)| {
+            let coverage = view.photograph.coverage.as_ref()?;
+            outline::turn(&view.camera, surface, occluder, coverage)
+        })
+        .collect();
+    let is_needed = |turn: &Turn| {
+        turn.moved > LEAST_MOVE.max(LEAST_BETTER * turn.left)
+            && turn.significance > LEAST_SIGNIFICANCE
+    };
+    if !turns.iter().flatten().any(is_needed) {
+        return None;
+    }
+    let degrees: Vec<DVec3> = turns
+        .iter()
+        .map(|turn| match turn {
+            Some(turn) if is_needed(turn) => turn.rotation.to_scaled_axis() * 1.0_f64.to_degrees(),
+            _ => DVec3::ZERO,
+        })
+        .collect();
+    let moved: Vec<View> = views
+        .iter()
+        .zip(&degrees)
+        .map(|(view, &turn_deg)| {
+            let turn_deg = turn_deg.to_array();
+            let turned = Correction {
+                turn_deg,
+                ..Correction::default()
+            };
+            turned.applied(view)
+        })
+        .collect();
+    let see = |view: &View| ViewSurface::new(mesh, occluder, &view.camera);
+    let seen: Vec<ViewSurface> = moved.iter().map(see).collect();
+    let after = Agreement::new(mesh, &moved, &seen, POINTS);
+    let (gain, error) = after.gain_over(before);
+    (gain > -CLEARLY_WORSE * error).then_some((degrees, after))
+}
+
+/// What a user should know of corrections that were made, in whole sentences.
+pub fn describe(corrections: &[Correction]) -> Vec<String> {
+    let mut sentences = Vec::new();
+    let turns = corrections
+        .iter()
+        .map(|c| DVec3::from(c.turn_deg).length());
+    let turned = turns.clone().filter(|&t| t > 0.0).count();
+    if turned > 0 {
+        sentences.push(format!(
+            "The outlines of {turned} views do not fit the mesh: their cameras were turned by up to {:.2}°. Check the \
+             cameras, or take them as stated with --as-stated.",
+            turns.fold(0.0, f64::max)
+        ));
+    }
+    let off = corrections
+        .iter()
+        .map(|c| (c.exposure.ln().abs().exp() - 1.0) * 100.0)
+        .fold(0.0, f64::max);
+    if off > 0.0 {
+        sentences.push(format!(
+            "Views are exposed differently, by up to {off:.1} % from their mean: this was evened out. Check the \
+             exposures, or take them as stated with --as-stated."
+        ));
+    }
+    sentences
+}
