@@ -5,33 +5,39 @@
 //! one least-squares problem with one unknown a view, whose sum is zero.
 
 use faer::linalg::solvers::Solve;
-use faer::{Col, Mat, Side};
+use faer::{Col, Mat};
 
 use super::observations::{Point, Row};
 use super::state::State;
 use super::weights::transmitted_share;
+use crate::math::centred;
 
-/// Only differences past this, and past this many standard errors, are any.
+/// Only differences past this, or where there are any past the other, and past this many standard errors, are any.
 const LEAST: f64 = 0.003;
+const LEAST_KNOWN: f64 = 0.001;
 const SURE: f64 = 5.0;
 /// Points at which more than this share of a row is specular say little: coarse cells are not where the lamps are.
 const MOST_SPECULAR: f32 = 0.1;
 /// Every view has to have this many rows.
 const ENOUGH: usize = 50;
+/// Exposures must account for this part of what is left over: where the model of light is not the object's, they take up some
+/// of that.
+const LEAST_EXPLAINED: f64 = 0.5;
 
-/// How much brighter each view is than the common scale, if any differs; `views` is how many there are.
-pub fn differing(state: &State<'_>, views: usize) -> Option<Vec<f64>> {
-    let (excess, errors) = excess(state, views)?;
-    let differs = |(a, e): (&f64, &f64)| a.abs() > LEAST.max(SURE * e);
-    excess
-        .iter()
-        .zip(&errors)
-        .any(differs)
-        .then(|| excess.iter().map(|a| 1.0 + a).collect())
+/// How much brighter each view is than the common scale, if any differs; `views` is how many there are. Where exposures are
+/// `known` to differ, this is how much is left of that.
+pub fn differing(state: &State<'_>, views: usize, known: bool) -> Option<Vec<f64>> {
+    let (excess, errors, explained) = excess(state, views)?;
+    let least = if known { LEAST_KNOWN } else { LEAST };
+    let differs = |(a, e): (&f64, &f64)| a.abs() > least.max(SURE * e);
+    let matters = known || explained > LEAST_EXPLAINED;
+    let differ = matters && excess.iter().zip(&errors).any(differs);
+    differ.then(|| excess.iter().map(|a| 1.0 + a).collect())
 }
 
-/// The excess a of each view and its standard error, with one group a point.
-fn excess(state: &State<'_>, views: usize) -> Option<(Vec<f64>, Vec<f64>)> {
+/// The excess a of each view, its standard error, with one group a point, and the part of the weighted squared residuals
+/// that goes away with it.
+fn excess(state: &State<'_>, views: usize) -> Option<(Vec<f64>, Vec<f64>, f64)> {
     let observations = state.design.observations;
     let diffuse: Vec<&Point> = observations
         .points
@@ -47,8 +53,11 @@ fn excess(state: &State<'_>, views: usize) -> Option<(Vec<f64>, Vec<f64>)> {
     let mut counts = vec![0; views];
     let mut gram = Mat::<f64>::zeros(views, views);
     let mut right = vec![0.0; views];
+    let mut squares = 0.0;
     for point in &diffuse {
         let columns = columns(state, point);
+        let all = &state.residuals.values[point.rows.clone()];
+        squares += inner(state, point, all, |k| state.residuals.values[k]);
         for (j, (view, column)) in columns.iter().enumerate() {
             counts[*view] += 1;
             right[*view] += inner(state, point, column, |k| state.residuals.values[k]);
@@ -64,9 +73,7 @@ fn excess(state: &State<'_>, views: usize) -> Option<(Vec<f64>, Vec<f64>)> {
     if counts.iter().any(|&count| count < ENOUGH) {
         return None;
     }
-    let mean = (0..views).map(|v| gram[(v, v)]).sum::<f64>() / views as f64;
-    let held = Mat::from_fn(views, views, |i, j| gram[(i, j)] + mean);
-    let factor = held.llt(Side::Lower).ok()?;
+    let factor = centred::factor(&gram)?;
     let solution = factor.solve(&Col::from_fn(views, |v| right[v]));
     let mut spread = Mat::<f64>::zeros(views, views);
     for point in &diffuse {
@@ -93,7 +100,13 @@ fn excess(state: &State<'_>, views: usize) -> Option<(Vec<f64>, Vec<f64>)> {
     let half = factor.solve(&spread);
     let covariance = factor.solve(&half.transpose().to_owned());
     let errors = (0..views).map(|v| covariance[(v, v)].max(0.0).sqrt());
-    Some((solution.iter().copied().collect(), errors.collect()))
+    let excess: Vec<f64> = solution.iter().copied().collect();
+    let fall: f64 = excess.iter().zip(&right).map(|(a, b)| a * b).sum();
+    Some((
+        excess,
+        errors.collect(),
+        fall / squares.max(f64::MIN_POSITIVE),
+    ))
 }
 
 /// What an excess of each view that sees a point adds to its rows, the diffuse colour eliminated.

@@ -20,6 +20,7 @@ use super::model::{Brdf, SpecularModel};
 use super::observations::{Candidate, Observations, Row, Sampling, Seen};
 use super::observer::{Interim, Iteration, Observer, Stopped, go_on};
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
+use super::support::drop_unsupported;
 use super::visibility::cell_visibility;
 use crate::hemisphere::HemisphereGrid;
 use crate::surface::Occluder;
@@ -236,6 +237,7 @@ impl Solver<'_> {
                 state = self.narrow(&state);
             }
             let settled = self.improve(&mut state, rounds, precision, watch)?;
+            drop_unsupported(&mut state, precision);
             if watch.observer.enough() {
                 let error = settled.map_or(f64::INFINITY, |step| step.error);
                 return Ok(self.fit(&state, error));
@@ -244,10 +246,13 @@ impl Solver<'_> {
         go_on(watch.observer.progress("settling the roughness", 0.8))?;
         let mut state = self.on_points(&state, &all);
         let step = self.improve(&mut state, 4, EXACT, watch)?;
-        let step = step.unwrap_or_else(|| {
-            state.solve_lights(EXACT);
-            state.sigma_step()
-        });
+        let step = match step {
+            Some(step) if !drop_unsupported(&mut state, EXACT) => step,
+            _ => {
+                state.solve_lights(EXACT);
+                state.sigma_step()
+            }
+        };
         let error = state.settle_sigma(&step, EXACT);
         self.report(&state, watch)?;
         Ok(self.fit(&state, error))

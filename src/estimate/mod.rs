@@ -17,6 +17,7 @@ mod observations;
 mod observer;
 mod relief;
 mod state;
+mod support;
 mod total_variation;
 mod visibility;
 mod weights;
@@ -146,11 +147,16 @@ pub fn estimate(
     })
 }
 
+/// Rounds in which the lights found and the views' exposures take turns.
+const MOST_ROUNDS: usize = 3;
+
 /// What a run goes on from.
 struct Start {
     clock: Instant,
     convergence: Vec<Iteration>,
+    /// What the views were divided by, after how many rounds.
     exposures: Vec<f64>,
+    rounds: usize,
 }
 
 impl Default for Start {
@@ -159,6 +165,7 @@ impl Default for Start {
             clock: Instant::now(),
             convergence: Vec::new(),
             exposures: Vec::new(),
+            rounds: 0,
         }
     }
 }
@@ -197,7 +204,7 @@ fn run(
         convergence: start.convergence,
         chosen_because: String::new(),
         refined: None,
-        exposures: start.exposures,
+        exposures: start.exposures.clone(),
     };
     if let Some(reason) = diagnose::unseparable(input.capture, &solver.coarse) {
         result.diagnostics.warnings.push(reason);
@@ -226,14 +233,19 @@ fn run(
         result.diagnostics.warnings.push(reason);
         return Ok(result);
     }
-    if result.exposures.is_empty()
+    if start.rounds < MOST_ROUNDS
         && !params.as_stated
-        && let Some(exposures) = exposures::differing(&coarse.state, input.capture.views.len())
+        && let Some(mut exposures) =
+            exposures::differing(&coarse.state, input.capture.views.len(), start.rounds > 0)
     {
         let evened = registration::evened(input.capture, &exposures);
+        for (all, before) in exposures.iter_mut().zip(&start.exposures) {
+            *all *= before;
+        }
         let start = Start {
             clock: solver.started,
             convergence: result.convergence,
+            rounds: start.rounds + 1,
             exposures,
         };
         let input = EstimateInput {

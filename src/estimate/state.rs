@@ -119,8 +119,13 @@ impl<'a> State<'a> {
         let kept: Vec<usize> = (0..self.cells.len())
             .filter(|&k| keep(&self.cells[k]))
             .collect();
+        self.with_cells(&kept)
+    }
+
+    /// The same with the cells at these places only, ascending. What others gave has to be solved for again.
+    pub fn with_cells(&self, kept: &[usize]) -> Self {
         let mut some = Self {
-            design: self.design.restricted(&kept),
+            design: self.design.restricted(kept),
             cells: kept.iter().map(|&k| self.cells[k]).collect(),
             radiance: kept.iter().map(|&k| self.radiance[k]).collect(),
             ..self.clone()
@@ -247,7 +252,8 @@ impl<'a> State<'a> {
             .collect()
     }
 
-    fn lit(&self) -> Vec<usize> {
+    /// Cells with light, ascending.
+    pub fn lit(&self) -> Vec<usize> {
         (0..self.cells.len())
             .filter(|&k| self.radiance[k].iter().any(|&v| v > 0.0))
             .collect()
@@ -255,23 +261,25 @@ impl<'a> State<'a> {
 
     /// Some cells and those beside them, ascending; all where there are none, or not many others.
     fn around(&self, some: &[usize]) -> Vec<usize> {
-        let geometry = &self.design.geometry;
-        // Nodes of a hexagonal grid, each of which has the solid angle √3/2 spacing².
-        let spacing = |k: usize| (geometry.solid_angles[k] * 2.0 / 3.0_f32.sqrt()).sqrt();
-        let is_beside = |k: usize, lit: usize| {
-            let reach = BESIDE * spacing(k).max(spacing(lit));
-            geometry.directions[k].distance_squared(geometry.directions[lit]) < reach * reach
-        };
         let all = 0..self.cells.len();
         let around: Vec<usize> = all
             .clone()
-            .filter(|&k| some.iter().any(|&lit| is_beside(k, lit)))
+            .filter(|&k| some.iter().any(|&lit| self.is_beside(k, lit)))
             .collect();
         if around.is_empty() || around.len() as f32 > MOST_CHOSEN * all.len() as f32 {
             all.collect()
         } else {
             around
         }
+    }
+
+    /// Whether two cells lie beside each other.
+    pub fn is_beside(&self, one: usize, other: usize) -> bool {
+        let geometry = &self.design.geometry;
+        // Nodes of a hexagonal grid, each of which has the solid angle √3/2 spacing².
+        let spacing = |k: usize| (geometry.solid_angles[k] * 2.0 / 3.0_f32.sqrt()).sqrt();
+        let reach = BESIDE * spacing(one).max(spacing(other));
+        geometry.directions[one].distance_squared(geometry.directions[other]) < reach * reach
     }
 
     /// Takes weights from the present residuals.
@@ -477,7 +485,7 @@ impl<'a> State<'a> {
     }
 
     /// Takes the best diffuse colour of each point out of one RGB value per row.
-    fn eliminate(&self, values: &mut [[f32; 3]]) {
+    pub fn eliminate(&self, values: &mut [[f32; 3]]) {
         let observations = self.design.observations;
         for point in &observations.points {
             let rows = point.rows.clone();

@@ -92,7 +92,8 @@ fn views_without_a_common_surface_are_left_diffuse() {
             for x in 0..surface.width {
                 let point = surface.point(&capture.mesh, &view.camera, x, y);
                 let usable = point.is_some_and(|p| side * (p.position.x - middle) > 0.0);
-                Arc::make_mut(&mut view.photograph).usable[(y * surface.width + x) as usize] &= usable;
+                Arc::make_mut(&mut view.photograph).usable[(y * surface.width + x) as usize] &=
+                    usable;
             }
         }
     }
@@ -197,11 +198,12 @@ fn the_scale_of_the_images_only_scales_the_lights() {
     // Powers of two near 1e-4 and 1e4, so that rounding is the same.
     for factor in [2.0_f32.powi(-13), 2.0_f32.powi(13)] {
         let mut scaled = capture.clone();
-        for value in scaled
-            .views
-            .iter_mut()
-            .flat_map(|v| Arc::make_mut(&mut v.photograph).radiance.iter_mut().flatten())
-        {
+        for value in scaled.views.iter_mut().flat_map(|v| {
+            Arc::make_mut(&mut v.photograph)
+                .radiance
+                .iter_mut()
+                .flatten()
+        }) {
             *value *= factor;
         }
         let found = fast(&scaled);
@@ -467,4 +469,45 @@ fn rows_derivatives_by_sigma_agree_with_finite_differences() {
             );
         }
     }
+}
+
+#[test]
+fn small_differences_of_exposure_are_found_with_the_lights() {
+    let capture = load();
+    let factors = [1.008, 0.994, 1.0, 1.01, 0.99, 0.998];
+    let darker = factors.map(|f: f64| f.recip());
+    let found = fast(&registration::evened(&capture, &darker));
+    let mean = factors.iter().sum::<f64>() / factors.len() as f64;
+    assert_eq!(found.exposures.len(), factors.len(), "none found");
+    for (exposure, factor) in found.exposures.iter().zip(factors) {
+        assert!(
+            (exposure / (factor / mean) - 1.0).abs() < 0.002,
+            "{exposure} for {factor}"
+        );
+    }
+    assert!(fast(&capture).exposures.is_empty());
+}
+
+#[test]
+fn noise_is_not_taken_for_lamps() {
+    let mut capture = load();
+    for (i, view) in capture.views.iter_mut().enumerate() {
+        for (k, pixel) in Arc::make_mut(&mut view.photograph)
+            .radiance
+            .iter_mut()
+            .enumerate()
+        {
+            let mut random = Random((i * 1_000_000 + k) as u64 * 0x9e37_79b9_7f4a_7c15);
+            *pixel = pixel.map(|v| v * (1.0 + 0.03 * random.normal()));
+        }
+    }
+    let found = fast(&capture);
+    let up = capture.light_hemisphere.up.as_vec3();
+    let grid = HemisphereGrid::new(40, up, None, capture.mesh.centre());
+    let lamps = find_lamps(&grid, &found.radiance);
+    let flux: f32 = lamps.iter().map(|l| l.flux.iter().sum::<f32>()).sum();
+    let bright = lamps
+        .iter()
+        .filter(|l| l.flux.iter().sum::<f32>() > 0.003 * flux);
+    assert_eq!(bright.count(), 2, "{lamps:?}");
 }

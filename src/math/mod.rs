@@ -1,5 +1,6 @@
 //! Numerical building blocks that know nothing of light or surfaces.
 
+pub mod centred;
 pub mod exp;
 pub mod nnls;
 pub mod random;

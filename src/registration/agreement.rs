@@ -5,7 +5,10 @@
 //! elsewhere than they are said to make views disagree where the texture changes.
 
 use crate::capture::{Mesh, Photograph, SurfacePoint, View};
+use crate::math::centred;
 use crate::surface::ViewSurface;
+use faer::linalg::solvers::Solve;
+use faer::{Col, Mat};
 use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -16,8 +19,9 @@ const ENOUGH: usize = 100;
 /// body then lacks.
 const LEAST_COSINE: f32 = 0.5;
 
-/// Rounds in which points and exposures take turns.
-const ROUNDS: usize = 10;
+/// Rounds of reweighting, and where Cauchy's weights fall to a half, in median sizes.
+const ROUNDS: usize = 12;
+const CAUCHY: f64 = 2.0;
 
 /// How much brighter a view is than the others.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,8 +62,8 @@ impl Agreement {
         counts.map(|count| count as f64 / self.points.len().max(1) as f64)
     }
 
-    /// Relative exposure of each view that shares enough points: medians, over points, of logarithms less the point's own
-    /// median over views, repeated with the exposures found.
+    /// Relative exposure of each view, if all share enough points: least squares on the logarithms of the radiances, each
+    /// point's own taken out, with weights that leave highlights alone.
     pub fn exposures(&self) -> Vec<Option<Exposure>> {
         let rows: Vec<Vec<(usize, f64)>> = self
             .points
@@ -70,34 +74,53 @@ impl Agreement {
             })
             .filter(|row: &Vec<_>| row.len() >= 2)
             .collect();
-        let mut logs = vec![0.0; self.views];
-        let mut found = vec![None; self.views];
-        for _ in 0..ROUNDS {
-            let mut differences = vec![Vec::new(); self.views];
-            for row in &rows {
-                let mut values: Vec<f64> = row.iter().map(|&(v, log)| log - logs[v]).collect();
-                let Some(middle) = median(&mut values) else {
-                    continue;
-                };
-                for &(view, log) in row {
-                    differences[view].push(log - middle);
-                }
-            }
-            found = differences.iter_mut().map(|d| centre(d)).collect();
-            let known: Vec<f64> = found.iter().flatten().map(|&(log, _)| log).collect();
-            let mean = known.iter().sum::<f64>() / known.len().max(1) as f64;
-            for (log, found) in logs.iter_mut().zip(&mut found) {
-                if let Some((value, _)) = found {
-                    *value -= mean;
-                    *log = *value;
-                }
-            }
+        let none = vec![None; self.views];
+        let mut shared = vec![0; self.views];
+        for &(view, _) in rows.iter().flatten() {
+            shared[view] += 1;
         }
-        let exposure = |(log, error): (f64, f64)| Exposure {
-            factor: log.exp(),
-            error,
+        if self.views < 2 || shared.iter().any(|&count| count < ENOUGH) {
+            return none;
+        }
+        let mut weights: Vec<Vec<f64>> = rows.iter().map(|row| vec![1.0; row.len()]).collect();
+        let mut found = None;
+        for _ in 0..ROUNDS {
+            found = even_out(&rows, &weights, self.views);
+            let Some((logs, _)) = &found else {
+                return none;
+            };
+            reweight(&rows, &mut weights, logs);
+        }
+        let Some((logs, curvatures)) = found else {
+            return none;
         };
-        found.into_iter().map(|f| f.map(exposure)).collect()
+        let spread = scatter(&rows, &weights, &logs);
+        logs.iter()
+            .zip(curvatures)
+            .map(|(log, curvature)| {
+                Some(Exposure {
+                    factor: log.exp(),
+                    error: spread / curvature.sqrt(),
+                })
+            })
+            .collect()
+    }
+
+    /// The same with each view divided by how much too bright it is.
+    #[must_use]
+    pub fn evened(&self, exposures: &[f64]) -> Self {
+        let even =
+            |row: &Vec<(usize, f64)>| row.iter().map(|&(v, r)| (v, r / exposures[v])).collect();
+        Self {
+            views: self.views,
+            points: self.points.iter().map(even).collect(),
+        }
+    }
+
+    /// By how much the views disagree: the median over points of the mean relative deviation from the point's median.
+    pub fn disagreement(&self) -> f64 {
+        let mut all: Vec<f64> = self.points.iter().filter_map(|v| disagreement(v)).collect();
+        median(&mut all).unwrap_or(0.0)
     }
 
     /// By how much the views disagree less than in `other`, which has the same points: the mean, over the points that both
@@ -127,16 +150,72 @@ fn disagreement(views: &[(usize, f64)]) -> Option<f64> {
     Some(sum / (values.len() as f64 * middle))
 }
 
-/// Median and its standard error, by the median absolute deviation, of enough values.
-fn centre(values: &mut [f64]) -> Option<(f64, f64)> {
-    if values.len() < ENOUGH {
-        return None;
+/// Logarithms of the views' exposures, whose sum is zero, by weighted least squares with each point's own logarithm
+/// eliminated, and the sum of the weights that each rests on. `None` where some views have no points in common with others.
+fn even_out(
+    rows: &[Vec<(usize, f64)>],
+    weights: &[Vec<f64>],
+    views: usize,
+) -> Option<(Vec<f64>, Vec<f64>)> {
+    let mut gram = Mat::<f64>::zeros(views, views);
+    let mut right = vec![0.0; views];
+    for (row, weights) in rows.iter().zip(weights) {
+        let total: f64 = weights.iter().sum();
+        let mean = row.iter().zip(weights).map(|(r, w)| w * r.1).sum::<f64>() / total;
+        for (&(view, log), &w) in row.iter().zip(weights) {
+            right[view] += w * (log - mean);
+            gram[(view, view)] += w;
+            for (&(other, _), &v) in row.iter().zip(weights) {
+                gram[(view, other)] -= w * v / total;
+            }
+        }
     }
-    let middle = median(values)?;
-    let mut off: Vec<f64> = values.iter().map(|v| (v - middle).abs()).collect();
-    // As for a normal distribution.
-    let spread = 1.4826 * median(&mut off)?;
-    Some((middle, 1.2533 * spread / (values.len() as f64).sqrt()))
+    let solution = centred::factor(&gram)?.solve(&Col::from_fn(views, |v| right[v]));
+    let logs: Vec<f64> = solution.iter().copied().collect();
+    let curvatures = (0..views).map(|v| gram[(v, v)]).collect();
+    logs.iter()
+        .all(|l| l.is_finite())
+        .then_some((logs, curvatures))
+}
+
+/// What each row differs by from its point's weighted mean, the exposures taken out.
+fn differences<'a>(
+    row: &'a [(usize, f64)],
+    weights: &[f64],
+    logs: &'a [f64],
+) -> impl Iterator<Item = f64> + 'a {
+    let total: f64 = weights.iter().sum();
+    let evened = row.iter().map(|&(view, log)| log - logs[view]);
+    let mean = evened.clone().zip(weights).map(|(v, w)| v * w).sum::<f64>() / total;
+    evened.map(move |v| v - mean)
+}
+
+/// Cauchy's weights for the differences that are left, about their median size.
+fn reweight(rows: &[Vec<(usize, f64)>], weights: &mut [Vec<f64>], logs: &[f64]) {
+    let mut sizes: Vec<f64> = rows
+        .iter()
+        .zip(&*weights)
+        .flat_map(|(row, weights)| differences(row, weights, logs).map(f64::abs))
+        .collect();
+    let scale = median(&mut sizes).unwrap_or(0.0).max(f64::MIN_POSITIVE);
+    for (row, weights) in rows.iter().zip(weights) {
+        let left: Vec<f64> = differences(row, weights, logs).collect();
+        for (weight, left) in weights.iter_mut().zip(left) {
+            *weight = (1.0 + (left / (CAUCHY * scale)).powi(2)).recip();
+        }
+    }
+}
+
+/// Weighted root mean square of the differences that are left.
+fn scatter(rows: &[Vec<(usize, f64)>], weights: &[Vec<f64>], logs: &[f64]) -> f64 {
+    let (mut sum, mut total) = (0.0, 0.0);
+    for (row, weights) in rows.iter().zip(weights) {
+        for (left, w) in differences(row, weights, logs).zip(weights) {
+            sum += w * left * left;
+            total += w;
+        }
+    }
+    (sum / f64::max(total, f64::MIN_POSITIVE)).sqrt()
 }
 
 /// The views that see a point, with the mean radiance of RGB there; zero where it is too grazing to compare or not data.

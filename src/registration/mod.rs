@@ -27,6 +27,9 @@ const POINTS: usize = 5_000;
 const LEAST_MOVE: f64 = 0.02;
 const LEAST_BETTER: f64 = 2.0;
 const LEAST_SIGNIFICANCE: f64 = 100.0;
+/// And if that is more than this part of what the outlines differ by all round: masks are rarely as wide on one side as on
+/// the other.
+const MOST_WIDENED: f64 = 0.5;
 
 /// Turned cameras are kept unless the views then disagree more by this many standard errors.
 const CLEARLY_WORSE: f64 = 3.0;
@@ -34,6 +37,9 @@ const CLEARLY_WORSE: f64 = 3.0;
 /// Views are taken to be exposed alike unless medians differ by this factor: what a varnish reflects at the rim, and what a
 /// bowl sends to itself, makes for half of it.
 const LEAST_RATIO: f64 = 1.025;
+
+/// And unless, with the exposures evened out, the views disagree by this part at most.
+const MOST_LEFT: f64 = 0.7;
 
 /// What has to be changed about a view for it to fit the others and the mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -140,7 +146,9 @@ pub fn register(
         .map(|exposure| exposure.map_or(1.0, |e| e.factor))
         .collect();
     let differ = |factor: &f64| factor.ln().abs() > LEAST_RATIO.ln();
-    if factors.iter().any(differ) {
+    if factors.iter().any(differ)
+        && agreement.evened(&factors).disagreement() < MOST_LEFT * agreement.disagreement()
+    {
         for (correction, factor) in corrections.iter_mut().zip(factors) {
             correction.exposure = factor;
         }
@@ -165,8 +173,8 @@ fn turned(
         })
         .collect();
     let is_needed = |turn: &Turn| {
-        turn.moved > LEAST_MOVE.max(LEAST_BETTER * turn.left)
-            && turn.significance > LEAST_SIGNIFICANCE
+        let unsure = (LEAST_BETTER * turn.left).max(MOST_WIDENED * turn.widened.abs());
+        turn.moved > LEAST_MOVE.max(unsure) && turn.significance > LEAST_SIGNIFICANCE
     };
     if !turns.iter().flatten().any(is_needed) {
         return None;
@@ -200,14 +208,13 @@ fn turned(
 /// What a user should know of corrections that were made, in whole sentences.
 pub fn describe(corrections: &[Correction]) -> Vec<String> {
     let mut sentences = Vec::new();
-    let turns = corrections
-        .iter()
-        .map(|c| DVec3::from(c.turn_deg).length());
+    let turns = corrections.iter().map(|c| DVec3::from(c.turn_deg).length());
     let turned = turns.clone().filter(|&t| t > 0.0).count();
     if turned > 0 {
         sentences.push(format!(
-            "The outlines of {turned} views do not fit the mesh: their cameras were turned by up to {:.2}°. Check the \
-             cameras, or take them as stated with --as-stated.",
+            "Outlines did not fit the mesh: the cameras of {turned} view{} were turned by up to {:.2}°. Check the cameras, \
+             or take them as stated (--as-stated).",
+            if turned == 1 { "" } else { "s" },
             turns.fold(0.0, f64::max)
         ));
     }
@@ -217,8 +224,8 @@ pub fn describe(corrections: &[Correction]) -> Vec<String> {
         .fold(0.0, f64::max);
     if off > 0.0 {
         sentences.push(format!(
-            "Views are exposed differently, by up to {off:.1} % from their mean: this was evened out. Check the \
-             exposures, or take them as stated with --as-stated."
+            "Views are exposed differently, by up to {off:.1} % from their mean, which was evened out. Check the \
+             exposures, or take them as stated (--as-stated)."
         ));
     }
     sentences

@@ -60,6 +60,8 @@ pub struct Turn {
     pub moved: f64,
     /// Square of the turn in units of its standard error, over its three axes.
     pub significance: f64,
+    /// Pixels by which the photograph's outline is wider all round.
+    pub widened: f64,
     /// Root mean square distance of the outlines after it, pixels, without the places left out as outliers.
     pub left: f64,
 }
@@ -147,12 +149,7 @@ fn outline(camera: &Camera, surface: &ViewSurface, occluder: &Occluder) -> Vec<P
 }
 
 /// Finds the photograph's outline near each place as the turned camera sees it.
-fn measure(
-    camera: &Camera,
-    places: &[Place],
-    coverage: &[f32],
-    reach: f64,
-) -> Vec<Row> {
+fn measure(camera: &Camera, places: &[Place], coverage: &[f32], reach: f64) -> Vec<Row> {
     let eye = camera.position();
     let centre = places
         .iter()
@@ -184,19 +181,17 @@ fn measure(
 
 /// How far outside `at` the photograph's outline lies, along the unit vector `outward`; `None` unless the line from `reach`
 /// inside to `reach` outside leaves the object just once.
-fn offset(
-    camera: &Camera,
-    coverage: &[f32],
-    at: DVec2,
-    outward: DVec2,
-    reach: f64,
-) -> Option<f64> {
+fn offset(camera: &Camera, coverage: &[f32], at: DVec2, outward: DVec2, reach: f64) -> Option<f64> {
     let steps = (2.0 * reach / STEP).round() as i32;
     let mut sum = 0.0;
     let mut travelled = 0.0;
     let mut before: Option<f64> = None;
     for k in 0..=steps {
-        let covered = bilinear(camera, coverage, at + (f64::from(k) * STEP - reach) * outward)?;
+        let covered = bilinear(
+            camera,
+            coverage,
+            at + (f64::from(k) * STEP - reach) * outward,
+        )?;
         let ends = k == 0 || k == steps;
         if k == 0 && covered < 0.98 || k == steps && covered > 0.02 {
             return None;
@@ -296,6 +291,7 @@ fn judge(rows: &[Row], weights: &[f64], fit: DVec4, rotation: DQuat) -> Turn {
         rotation,
         moved: (rows.iter().map(moved).sum::<f64>() / rows.len() as f64).sqrt(),
         significance: total.dot(covariance.inverse() * total),
+        widened: fit.w,
         left: (squares / weight.max(1.0)).sqrt(),
     }
 }

@@ -252,7 +252,12 @@ impl Measured {
 
     /// What has to be corrected about the views, nothing where they fit each other and the mesh.
     fn register(&self, capture: &Capture) -> Vec<Correction> {
-        let found = register(&capture.mesh, &capture.views, &self.surfaces, &self.occluder);
+        let found = register(
+            &capture.mesh,
+            &capture.views,
+            &self.surfaces,
+            &self.occluder,
+        );
         let none = found.iter().all(|c| *c == Correction::default());
         if none { Vec::new() } else { found }
     }
