@@ -35,6 +35,14 @@ pub fn differing(state: &State<'_>, views: usize, known: bool) -> Option<Vec<f64
     differ.then(|| excess.iter().map(|a| 1.0 + a).collect())
 }
 
+/// Factors found before, nothing where there were none, and after: both.
+pub fn together(before: &[f64], mut factors: Vec<f64>) -> Vec<f64> {
+    for (factor, before) in factors.iter_mut().zip(before) {
+        *factor *= before;
+    }
+    factors
+}
+
 /// The excess a of each view, its standard error, with one group a point, and the part of the weighted squared residuals
 /// that goes away with it.
 fn excess(state: &State<'_>, views: usize) -> Option<(Vec<f64>, Vec<f64>, f64)> {

@@ -233,20 +233,17 @@ fn run(
         result.diagnostics.warnings.push(reason);
         return Ok(result);
     }
-    if start.rounds < MOST_ROUNDS
-        && !params.as_stated
-        && let Some(mut exposures) =
-            exposures::differing(&coarse.state, input.capture.views.len(), start.rounds > 0)
+    let views = input.capture.views.len();
+    if !params.as_stated
+        && start.rounds < MOST_ROUNDS
+        && let Some(factors) = exposures::differing(&coarse.state, views, start.rounds > 0)
     {
-        let evened = registration::evened(input.capture, &exposures);
-        for (all, before) in exposures.iter_mut().zip(&start.exposures) {
-            *all *= before;
-        }
+        let evened = registration::evened(input.capture, &factors);
         let start = Start {
             clock: solver.started,
             convergence: result.convergence,
+            exposures: exposures::together(&result.exposures, factors),
             rounds: start.rounds + 1,
-            exposures,
         };
         let input = EstimateInput {
             capture: &evened,

@@ -103,15 +103,11 @@ pub fn solve(
         stages: vec![("load".to_owned(), load_s)],
     };
     let mut measured = Measured::new(&stated.mesh, &stated.views, observer, SURFACE)?;
-    let mut corrections = Vec::new();
-    let mut capture = Cow::Borrowed(stated);
-    if !options.estimate.as_stated {
-        corrections = measured.register(stated);
-        capture = corrected(stated, &corrections);
-        if corrections.iter().any(Correction::turns) {
-            measured = Measured::new(&stated.mesh, &capture.views, observer, SURFACE)?;
-        }
-    }
+    let (mut capture, mut corrections) = if options.estimate.as_stated {
+        (Cow::Borrowed(stated), Vec::new())
+    } else {
+        measured.registered(stated, observer)?
+    };
     let grid = hemisphere(stated, options);
     clock.lap("surface");
 
@@ -127,10 +123,7 @@ pub fn solve(
     };
     let found = estimate(&input, &options.estimate, &mut Part { observer })?;
     if !found.exposures.is_empty() {
-        corrections.resize(stated.views.len(), Correction::default());
-        for (correction, factor) in corrections.iter_mut().zip(&found.exposures) {
-            correction.exposure *= factor;
-        }
+        corrections = with_exposures(corrections, &found.exposures);
         capture = corrected(stated, &corrections);
     }
     let mut mesh = &stated.mesh;
@@ -250,17 +243,31 @@ impl Measured {
         })
     }
 
-    /// What has to be corrected about the views, nothing where they fit each other and the mesh.
-    fn register(&self, capture: &Capture) -> Vec<Correction> {
-        let found = register(
-            &capture.mesh,
-            &capture.views,
-            &self.surfaces,
-            &self.occluder,
-        );
-        let none = found.iter().all(|c| *c == Correction::default());
-        if none { Vec::new() } else { found }
+    /// The capture with what does not fit the mesh and the other views corrected, and the corrections; none where all fits.
+    fn registered<'c>(
+        &mut self,
+        stated: &'c Capture,
+        observer: &mut dyn Observer,
+    ) -> Result<(Cow<'c, Capture>, Vec<Correction>), Stopped> {
+        let found = register(&stated.mesh, &stated.views, &self.surfaces, &self.occluder);
+        if found.iter().all(|c| *c == Correction::default()) {
+            return Ok((Cow::Borrowed(stated), Vec::new()));
+        }
+        let capture = corrected(stated, &found);
+        if found.iter().any(Correction::turns) {
+            *self = Self::new(&stated.mesh, &capture.views, observer, SURFACE)?;
+        }
+        Ok((capture, found))
     }
+}
+
+/// Corrections, if there were any, with what else was found of the views' exposures.
+fn with_exposures(mut corrections: Vec<Correction>, exposures: &[f64]) -> Vec<Correction> {
+    corrections.resize(exposures.len(), Correction::default());
+    for (correction, factor) in corrections.iter_mut().zip(exposures) {
+        correction.exposure *= factor;
+    }
+    corrections
 }
 
 fn report(observer: &mut dyn Observer, (what, fraction): (&str, f32)) -> Result<(), Stopped> {
