@@ -4,6 +4,7 @@ use super::*;
 use crate::capture::Capture;
 use glam::{DQuat, DVec3};
 use std::path::Path;
+use std::sync::Arc;
 
 fn capture() -> Capture {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures/spot_paper");
@@ -99,7 +100,7 @@ fn pairs_of_points_give_the_transform() {
 fn photographs_without_silhouettes_are_too_few() {
     let mut capture = capture();
     for view in &mut capture.views[1..] {
-        view.photograph.coverage = None;
+        Arc::make_mut(&mut view.photograph).coverage = None;
     }
     let found = align(&capture.views, &capture.mesh, None, &mut never);
     assert_eq!(found.err(), Some(AlignError::TooFewSilhouettes(1)));

@@ -107,10 +107,7 @@ pub fn corrected<'a>(capture: &'a Capture, corrections: &[Correction]) -> Cow<'a
     let views = capture.views.iter().zip(corrections);
     Cow::Owned(Capture {
         views: views.map(|(view, c)| c.applied(view)).collect(),
-        name: capture.name.clone(),
-        mesh: capture.mesh.clone(),
-        light_hemisphere: capture.light_hemisphere,
-        warnings: capture.warnings.clone(),
+        ..capture.clone()
     })
 }
 

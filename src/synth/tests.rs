@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::sync::Arc;
 
 use glam::{DMat3, Vec3};
 use tempfile::TempDir;
@@ -191,7 +192,7 @@ fn scale(a: &Capture, b: &Capture) -> f32 {
 
 fn scaled(mut capture: Capture, factor: f32) -> Capture {
     for view in &mut capture.views {
-        for pixel in &mut view.photograph.radiance {
+        for pixel in &mut Arc::make_mut(&mut view.photograph).radiance {
             *pixel = pixel.map(|v| v * factor);
         }
     }
