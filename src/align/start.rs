@@ -94,7 +94,11 @@ pub(super) fn rotations(views: &[View], mesh: &Mesh) -> Vec<Similarity> {
         .map(|s| (s.camera.position(), s.camera.ray(s.centre)))
         .collect();
     let middle = nearest(&rays);
-    let points = points(mesh);
+    let points: Vec<DVec3> = mesh
+        .spread(POINTS)
+        .into_iter()
+        .map(|(triangle, at)| mesh.point(triangle, at).position.as_dvec3())
+        .collect();
     let centre = mesh.centre().as_dvec3();
     let mut found: Vec<(f64, Similarity)> = (0..ROTATIONS)
         .into_par_iter()
@@ -132,38 +136,6 @@ fn nearest(lines: &[(DVec3, DVec3)]) -> DVec3 {
             .map_or(DVec3::ZERO, |(origin, d)| *origin + *d);
     }
     matrix.inverse() * rhs
-}
-
-/// Vertices spread over the mesh's list of triangles.
-fn points(mesh: &Mesh) -> Vec<DVec3> {
-    let areas: Vec<f64> = (0..mesh.triangles.len() as u32)
-        .map(|t| {
-            let [a, b, c] = mesh.corners(t).map(glam::Vec3::as_dvec3);
-            (b - a).cross(c - a).length()
-        })
-        .collect();
-    let each = areas.iter().sum::<f64>() / POINTS as f64;
-    let mut points = Vec::with_capacity(POINTS + 1);
-    let mut owed = 0.5;
-    for (t, area) in areas.iter().enumerate() {
-        owed += area / each;
-        let [a, b, c] = mesh.corners(t as u32).map(glam::Vec3::as_dvec3);
-        while owed >= 1.0 {
-            owed -= 1.0;
-            let k = points.len() as f64;
-            let (u, v) = (
-                (0.5 + 0.754_877_666 * k).fract(),
-                (0.5 + 0.569_840_291 * k).fract(),
-            );
-            let (u, v) = if u + v > 1.0 {
-                (1.0 - u, 1.0 - v)
-            } else {
-                (u, v)
-            };
-            points.push(a + u * (b - a) + v * (c - a));
-        }
-    }
-    points
 }
 
 /// Rotations spread evenly: the super-Fibonacci spiral of Alexa (2022).

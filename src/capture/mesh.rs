@@ -1,6 +1,6 @@
 //! The object's surface as a triangle mesh.
 
-use glam::{DMat3, DMat4, Vec2, Vec3};
+use glam::{DMat3, DMat4, DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Triangles over shared vertices. Corners that differ in normal or texture coordinate are distinct vertices.
@@ -91,6 +91,33 @@ impl Mesh {
         for (place, same) in order.chunk_by(|&a, &b| key(a) == key(b)).enumerate() {
             for &v in same {
                 places[v as usize] = place as u32;
+            }
+        }
+        places
+    }
+
+    /// About `count` places spread evenly over the surface's area: triangles, and weights of the second and third corner.
+    pub fn spread(&self, count: usize) -> Vec<(u32, Vec2)> {
+        let area = |t: usize| {
+            let [a, b, c] = self.corners(t as u32).map(Vec3::as_dvec3);
+            (b - a).cross(c - a).length()
+        };
+        let areas: Vec<f64> = (0..self.triangles.len()).map(area).collect();
+        let step = areas.iter().sum::<f64>() / count as f64;
+        let mut places = Vec::with_capacity(count + 1);
+        let mut owed = 0.5;
+        for (triangle, area) in areas.iter().enumerate() {
+            owed += area / step;
+            while owed >= 1.0 {
+                owed -= 1.0;
+                // Roberts' R2 sequence, folded into the triangle.
+                let k = places.len() as f64;
+                let at = DVec2::new(
+                    (0.5 + 0.754_877_666 * k).fract(),
+                    (0.5 + 0.569_840_291 * k).fract(),
+                );
+                let folded = if at.x + at.y > 1.0 { 1.0 - at } else { at };
+                places.push((triangle as u32, folded.as_vec2()));
             }
         }
         places

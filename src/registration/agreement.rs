@@ -9,7 +9,7 @@ use crate::math::centred;
 use crate::surface::ViewSurface;
 use faer::linalg::solvers::Solve;
 use faer::{Col, Mat};
-use glam::{DVec2, Vec2, Vec3};
+use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
 /// Points that a view must share with others before its exposure is judged.
@@ -43,9 +43,10 @@ pub struct Agreement {
 impl Agreement {
     /// Looks at about `count` points from all views; one surface per view.
     pub fn new(mesh: &Mesh, views: &[View], surfaces: &[ViewSurface], count: usize) -> Self {
-        let points = spread(mesh, count)
-            .par_iter()
-            .map(|point| seen_in(views, surfaces, point))
+        let points = mesh
+            .spread(count)
+            .into_par_iter()
+            .map(|(triangle, at)| seen_in(views, surfaces, &mesh.point(triangle, at)))
             .collect();
         Self {
             views: views.len(),
@@ -267,38 +268,4 @@ fn median(values: &mut [f64]) -> Option<f64> {
     let (lower, &mut upper, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
     let below = lower.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     Some(if even { 0.5 * (below + upper) } else { upper })
-}
-
-/// Points spread evenly over the area of a mesh.
-fn spread(mesh: &Mesh, count: usize) -> Vec<SurfacePoint> {
-    let areas: Vec<f64> = mesh
-        .triangles
-        .iter()
-        .map(|t| {
-            let [a, b, c] = t.map(|v| mesh.positions[v as usize].as_dvec3());
-            (b - a).cross(c - a).length()
-        })
-        .collect();
-    let step = areas.iter().sum::<f64>() / count as f64;
-    let mut points = Vec::with_capacity(count + 1);
-    let mut owed = 0.5;
-    for (triangle, area) in areas.iter().enumerate() {
-        owed += area / step;
-        while owed >= 1.0 {
-            owed -= 1.0;
-            // Roberts' R2 sequence, folded into the triangle.
-            let k = points.len() as f64;
-            let (u, v) = (
-                (0.5 + 0.754_877_666 * k).fract(),
-                (0.5 + 0.569_840_291 * k).fract(),
-            );
-            let (u, v) = if u + v > 1.0 {
-                (1.0 - u, 1.0 - v)
-            } else {
-                (u, v)
-            };
-            points.push(mesh.point(triangle as u32, Vec2::new(u as f32, v as f32)));
-        }
-    }
-    points
 }
