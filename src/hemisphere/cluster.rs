@@ -21,7 +21,7 @@ const PASS: f32 = 0.5;
 /// Height relative to its top below which a hill ends.
 const FOOT: f32 = 0.02;
 /// Share of the whole flux, and of the highest hill's height, below which a hill is a speck.
-const SPECK: f64 = 0.002;
+const SPECK: f64 = 0.003;
 /// How far beyond a lamp's angular radius a speck still joins it, in radians: 4°.
 const REACH: f32 = 4.0 * std::f32::consts::PI / 180.0;
 
