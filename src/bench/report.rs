@@ -8,6 +8,7 @@ use std::path::Path;
 use super::record::Run;
 use super::{name, plot};
 use crate::estimate::Method;
+use crate::math::median;
 
 /// All runs of a comparison, capture by capture, in the order in which they were made.
 #[derive(Clone, Debug)]
@@ -35,12 +36,6 @@ fn field(text: &str) -> String {
     } else {
         text.to_owned()
     }
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let (low, high) = (values.len().checked_sub(1)? / 2, values.len() / 2);
-    Some(f64::midpoint(values[low], values[high]))
 }
 
 /// Mebibytes.
@@ -289,7 +284,7 @@ impl Report {
         let ratios = (1..=rounds)
             .filter_map(|round| Some(of(over, round)? / of(under, round)?))
             .filter(|ratio| ratio.is_finite());
-        median(ratios.collect())
+        median(&mut ratios.collect::<Vec<_>>())
     }
 }
 

@@ -5,7 +5,7 @@
 //! elsewhere than they are said to make views disagree where the texture changes.
 
 use crate::capture::{Mesh, Photograph, SurfacePoint, View};
-use crate::math::centred;
+use crate::math::{centred, median};
 use crate::surface::ViewSurface;
 use faer::linalg::solvers::Solve;
 use faer::{Col, Mat};
@@ -257,15 +257,4 @@ fn sample(photograph: &Photograph, at: DVec2) -> f64 {
         sum += weight * Vec3::from(photograph.radiance[i]).element_sum() / 3.0;
     }
     f64::from(sum)
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let middle = values.len() / 2;
-    let even = values.len().is_multiple_of(2);
-    let (lower, &mut upper, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
-    let below = lower.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    Some(if even { 0.5 * (below + upper) } else { upper })
 }

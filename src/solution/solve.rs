@@ -228,12 +228,7 @@ impl Measured {
     ) -> Result<Self, Stopped> {
         report(observer, stage)?;
         let occluder = Occluder::new(mesh);
-        let mut surfaces = Vec::with_capacity(views.len());
-        for view in views {
-            report(observer, stage)?;
-            surfaces.push(ViewSurface::new(mesh, &occluder, &view.camera));
-        }
-        report(observer, stage)?;
+        let surfaces = see(mesh, views, &occluder, observer, stage)?;
         let density = wanted_density(mesh, views, &surfaces, TEXELS_PER_PIXEL);
         let atlas = Atlas::new(mesh, &density);
         Ok(Self {
@@ -255,10 +250,33 @@ impl Measured {
         }
         let capture = corrected(stated, &found);
         if found.iter().any(Correction::turns) {
-            *self = Self::new(&stated.mesh, &capture.views, observer, SURFACE)?;
+            self.surfaces = see(
+                &stated.mesh,
+                &capture.views,
+                &self.occluder,
+                observer,
+                SURFACE,
+            )?;
         }
         Ok((capture, found))
     }
+}
+
+/// What all views see of a mesh.
+fn see(
+    mesh: &Mesh,
+    views: &[View],
+    occluder: &Occluder,
+    observer: &mut dyn Observer,
+    stage: (&str, f32),
+) -> Result<Vec<ViewSurface>, Stopped> {
+    let mut surfaces = Vec::with_capacity(views.len());
+    for view in views {
+        report(observer, stage)?;
+        surfaces.push(ViewSurface::new(mesh, occluder, &view.camera));
+    }
+    report(observer, stage)?;
+    Ok(surfaces)
 }
 
 /// Corrections, if there were any, with what else was found of the views' exposures.
