@@ -248,7 +248,8 @@ impl Solver<'_> {
         let step = self.improve(&mut state, 4, EXACT, watch)?;
         let step = match step {
             Some(step) if !drop_unsupported(&mut state, EXACT) => step,
-            _ => {
+            Some(_) => state.sigma_step(),
+            None => {
                 state.solve_lights(EXACT);
                 state.sigma_step()
             }
