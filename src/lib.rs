@@ -18,6 +18,7 @@ pub mod relight;
 pub mod render;
 pub mod solution;
 pub mod studio;
+pub mod study;
 pub mod surface;
 pub mod synth;
 pub mod worker;

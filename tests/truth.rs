@@ -171,3 +171,42 @@ fn a_made_capture_is_solved_and_benched_as_any_other() {
         assert!(plot.is_file(), "{}", plot.display());
     }
 }
+
+#[test]
+fn a_study_judges_every_case_and_leaves_nothing_but_its_report() {
+    let folder = tempfile::tempdir().unwrap();
+    let into = folder.path().join("report");
+    let study = |only: &str| {
+        let into = into.to_str().unwrap();
+        ["study", "-o", into, "--only", only, "--quiet"].map(str::to_owned)
+    };
+    let mut arguments = study("coverage/noise_1,coverage/noise_3").to_vec();
+    arguments.extend(["--seeds", "1"].map(str::to_owned));
+    let run = rekindle(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(
+        run.status.success(),
+        "{}",
+        String::from_utf8_lossy(&run.stderr)
+    );
+    let rows = lines(&into.join("coverage.csv"));
+    let column = |name: &str| rows[0].iter().position(|n| n == name).unwrap();
+    assert_eq!(rows.len(), 1 + 2, "a row for each noise level");
+    for row in &rows[1..] {
+        assert!(["fine", "degrades"].contains(&row[column("verdict")].as_str()));
+        let error: f64 = row[column("sigma_error_pct")].parse().unwrap();
+        assert!(error.abs() < 10.0, "{row:?}");
+        let seconds = ["total_s", "estimate_s"].map(|s| row[column(s)].parse::<f64>().unwrap());
+        assert!(seconds[0] > seconds[1], "a stage takes less than all");
+    }
+    let text = std::fs::read_to_string(into.join("accuracy.md")).unwrap();
+    assert!(text.contains("## Coverage") && !text.contains("## Stability"));
+    assert!(!into.join("captures").exists());
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+
+    let unknown = study("stability/charm");
+    let message = refused(&unknown.each_ref().map(String::as_str));
+    assert!(
+        message.contains("stability/charm") && message.contains("noise"),
+        "{message}"
+    );
+}

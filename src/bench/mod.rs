@@ -4,19 +4,24 @@
 //! every iteration, a row for every solve, tables and plots. The measures are those of `evaluate.py`, which comes with the
 //! path-traced captures. Nothing but this room reads `truth/`.
 
+mod chart;
 mod error;
 mod measures;
 mod memory;
 mod plot;
 mod record;
 mod report;
+mod table;
 mod truth;
 mod views;
 
+pub(crate) use chart::{Axis, Curve, Dot, Panel, draw, number};
 pub use error::BenchError;
 pub use measures::{Errors, FoundLamp, Measures, hemisphere_error, lamp_errors};
+pub(crate) use memory::peak;
 pub use record::{Run, Step};
 pub use report::Report;
+pub(crate) use table::{cell, field, mebibytes, percent, with_unit};
 pub use truth::{RelitCase, TrueLamp, Truth};
 pub use views::ViewErrors;
 

@@ -6,6 +6,7 @@ use std::io;
 use std::path::Path;
 
 use super::record::Run;
+use super::table::{cell, field, mebibytes, percent, with_unit};
 use super::{name, plot};
 use crate::estimate::Method;
 use crate::math::median;
@@ -15,32 +16,6 @@ use crate::math::median;
 pub struct Report {
     /// At least one.
     pub runs: Vec<Run>,
-}
-
-/// A number with as many decimals as it needs; nothing where there is none.
-fn cell(value: Option<impl Into<f64>>, decimals: usize) -> String {
-    match value.map(Into::into) {
-        Some(value) if value.is_finite() => format!("{value:.decimals$}"),
-        _ => String::new(),
-    }
-}
-
-fn percent(value: Option<f64>) -> Option<f64> {
-    value.map(|v| 100.0 * v)
-}
-
-/// A text as one field of a CSV file.
-fn field(text: &str) -> String {
-    if text.contains([',', '"', '\n', '\r']) {
-        format!("\"{}\"", text.replace('"', "\"\""))
-    } else {
-        text.to_owned()
-    }
-}
-
-/// Mebibytes.
-fn mebibytes(bytes: Option<u64>) -> Option<f64> {
-    bytes.map(|b| b as f64 / f64::from(1 << 20))
 }
 
 impl Report {
@@ -158,7 +133,7 @@ impl Report {
                 cell(v.alone_mean(), 3),
                 cell(v.moved_mean(), 3),
                 cell(Some(run.seconds()), 4),
-                cell(mebibytes(run.peak_bytes), 1),
+                cell(mebibytes(run.peak_bytes.map(|b| b as f64)), 1),
             ];
             let seconds = |stage: &&str| {
                 let found = run.stages.iter().find(|(name, _)| name == stage);
@@ -191,13 +166,6 @@ impl Report {
             "| capture | method | σ | direction | flux | hemisphere | novel | alone | moved | solve | peak |\n\
              | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n",
         );
-        let with = |text: String, unit: &str| {
-            if text.is_empty() {
-                "–".to_owned()
-            } else {
-                text + unit
-            }
-        };
         for run in self.runs.iter().filter(|run| run.round == 1) {
             let (e, v) = (&run.errors, &run.views);
             let _ = writeln!(
@@ -205,15 +173,15 @@ impl Report {
                 "| {} | {} | {} | {} | {} | {} | {} | {} | {} | {:.2} s | {} |",
                 run.capture,
                 name(run.method),
-                with(cell(percent(e.sigma), 2), " %"),
-                with(cell(e.direction_deg, 2), "°"),
-                with(cell(percent(e.flux), 2), " %"),
-                with(cell(percent(e.hemisphere), 1), " %"),
-                with(cell(v.novel_mean(), 1), ""),
-                with(cell(v.alone_mean(), 1), ""),
-                with(cell(v.moved_mean(), 1), ""),
+                with_unit(cell(percent(e.sigma), 2), " %"),
+                with_unit(cell(e.direction_deg, 2), "°"),
+                with_unit(cell(percent(e.flux), 2), " %"),
+                with_unit(cell(percent(e.hemisphere), 1), " %"),
+                with_unit(cell(v.novel_mean(), 1), ""),
+                with_unit(cell(v.alone_mean(), 1), ""),
+                with_unit(cell(v.moved_mean(), 1), ""),
                 run.seconds(),
-                with(cell(mebibytes(run.peak_bytes), 0), " MiB"),
+                with_unit(cell(mebibytes(run.peak_bytes.map(|b| b as f64)), 0), " MiB"),
             );
         }
     }

@@ -1,6 +1,7 @@
 //! `rekindle bench`: error against run time.
 
-use std::path::PathBuf;
+use std::io;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 
@@ -68,16 +69,27 @@ pub(super) fn run(args: &BenchArgs, output: OutputArgs) -> anyhow::Result<()> {
     };
     interrupt::check()?;
     let staging = Staging::beside(&args.output).with_context(|| cannot_write(&args.output))?;
-    let files = report
-        .write(staging.path())
-        .with_context(|| cannot_write(&args.output))?;
-    staging.add().with_context(|| cannot_write(&args.output))?;
+    written(staging, &args.output, &progress, output, |folder| {
+        report.write(folder)
+    })
+}
+
+/// Adds the files that `write` makes in a folder, whose names it returns, to the folder asked for, and says so.
+pub(super) fn written(
+    staging: Staging,
+    folder: &Path,
+    progress: &Progress,
+    output: OutputArgs,
+    write: impl FnOnce(&Path) -> io::Result<Vec<String>>,
+) -> anyhow::Result<()> {
+    let files = write(staging.path()).with_context(|| cannot_write(folder))?;
+    staging.add().with_context(|| cannot_write(folder))?;
     progress.finish();
     if output.json {
-        let files: Vec<_> = files.iter().map(|file| args.output.join(file)).collect();
+        let files: Vec<_> = files.iter().map(|file| folder.join(file)).collect();
         print_json(&serde_json::json!({ "files": files }));
     } else if !output.quiet {
-        print_line(&format!("{}: {}", args.output.display(), files.join(", ")));
+        print_line(&format!("{}: {}", folder.display(), files.join(", ")));
     }
     Ok(())
 }

@@ -13,6 +13,7 @@ mod merge;
 mod progress;
 mod render;
 mod solve;
+mod study;
 mod synth;
 
 use std::path::PathBuf;
@@ -92,6 +93,11 @@ enum Command {
     Synth(synth::SynthArgs),
     /// Compare methods on captures with known truth: error against run time
     Bench(bench::BenchArgs),
+    /// Study how far the estimate can be trusted and what it costs, on captures made for it
+    ///
+    /// Makes captures one thing worse or larger from one to the next, solves each by the default method in a process of its own,
+    /// and writes tables and plots of the errors, seconds and bytes. The whole takes more than an hour.
+    Study(study::StudyArgs),
     /// Say what is in a capture or a solution, and what is wrong with it
     Info {
         /// Folder of a capture or of a solution
@@ -139,6 +145,7 @@ fn execute(cli: &Cli) -> anyhow::Result<()> {
         Some(Command::Merge(args)) => merge::run(args, cli.output),
         Some(Command::Synth(args)) => synth::run(args, cli.output),
         Some(Command::Bench(args)) => bench::run(args, cli.output),
+        Some(Command::Study(args)) => study::run(args, cli.output),
         Some(Command::Info { path }) => {
             let folder = crate::solution::solution_folder(path);
             if folder.join("solution.json").is_file() {

@@ -9,6 +9,7 @@ use clap::ValueEnum;
 use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
+use crate::bench::peak;
 use crate::capture::Capture;
 use crate::estimate::{EstimateParams, Iteration, Method, Observer, SpecularChoice, SpecularModel};
 use crate::solution::{Solution, SolveOptions, check_destination, solve};
@@ -159,6 +160,7 @@ pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
                 .map(|(stage, s)| (stage, s.into()))
                 .collect();
             object.insert("timings_s".to_owned(), seconds.into());
+            object.insert("peak_bytes".to_owned(), peak().into());
             let path = args.output.to_string_lossy().into_owned();
             object.insert("solution".to_owned(), path.into());
         }

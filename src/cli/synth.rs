@@ -205,7 +205,13 @@ struct Place([f32; 2]);
 
 /// Width and height in pixels.
 #[derive(Clone, Copy)]
-struct Size([u32; 2]);
+pub(super) struct Size([u32; 2]);
+
+impl Size {
+    pub(super) fn pixels(self) -> [u32; 2] {
+        self.0
+    }
+}
 
 impl FromStr for Place {
     type Err = String;
@@ -299,7 +305,7 @@ impl SynthArgs {
             views: Views {
                 count: self.views.views,
                 arc: self.views.arc.to_radians(),
-                size: self.views.size.0,
+                size: self.views.size.pixels(),
                 supersampling: self.views.samples.isqrt() / 4,
                 scale: self.views.scale,
             },

@@ -129,7 +129,9 @@ pub fn unresolved(seen: &Seen<'_>, fit: &Fit) -> Option<String> {
     let turn = turn_per_pixel(seen);
     (fit.brdf.sigma < LEAST_RESOLVED * turn).then(|| {
         format!(
-            "The highlights are narrower than the pictures resolve: from one pixel to the next the surface turns by {:.1}°, and              the lobe's roughness comes out as {:.1}°. Roughness and lights are not to be trusted. Use larger pictures, or              come closer.",
+            "The highlights are narrower than the pictures resolve: from one pixel to the next the surface turns by {:.1}°, and \
+             the lobe's roughness comes out as {:.1}°. Roughness and lights are not to be trusted. Use larger pictures, or \
+             come closer.",
             turn.to_degrees(),
             fit.brdf.sigma.to_degrees()
         )

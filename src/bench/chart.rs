@@ -1,0 +1,293 @@
+//! Panels of curves as SVG, all in one style.
+
+use std::io;
+use std::ops::Range;
+
+use plotters::coord::Shift;
+use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
+use plotters::prelude::*;
+
+/// Of curves, in turn; told apart also by those who see fewer colours (Okabe and Ito 2008).
+const COLOURS: [RGBColor; 5] = [
+    RGBColor(0, 114, 178),
+    RGBColor(230, 159, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(0, 0, 0),
+];
+/// Most marks on an axis of decades.
+const MOST_DECADES: i32 = 6;
+
+/// A picture in the making.
+pub(crate) struct Panel {
+    /// Above it.
+    pub caption: String,
+    /// To the right.
+    pub x: Axis,
+    /// Upward.
+    pub y: Axis,
+    /// In turn in the colours.
+    pub curves: Vec<Curve>,
+}
+
+/// What is drawn along a side, with its name.
+pub(crate) enum Axis {
+    /// A logarithm from one whole power of ten to another.
+    Decades(String),
+    /// A logarithm with marks at these values, which ascend.
+    Values(String, Vec<f64>),
+    /// Places 0, 1, 2 …, each with a name.
+    Places(String, Vec<String>),
+    /// From minus to plus this, zero in the middle; what lies beyond is drawn at the edge.
+    AroundZero(String, f64),
+}
+
+/// Points joined by lines.
+pub(crate) struct Curve {
+    /// In the legend; there is none without names.
+    pub name: String,
+    /// From left to right.
+    pub points: Vec<Dot>,
+}
+
+/// A point of a curve.
+#[derive(Clone, Copy)]
+pub(crate) struct Dot {
+    /// To the right.
+    pub x: f64,
+    /// Upward.
+    pub y: f64,
+    /// An upright bar through it, from the lower to the higher end.
+    pub interval: Option<[f64; 2]>,
+}
+
+impl Dot {
+    /// A point without a bar.
+    pub(crate) fn new(x: f64, y: f64) -> Self {
+        Self {
+            x,
+            y,
+            interval: None,
+        }
+    }
+}
+
+/// Draws panels side by side, row by row, up to `columns` in a row; `size` is that of each in pixels.
+pub(crate) fn draw(panels: &[Panel], columns: usize, size: [u32; 2]) -> io::Result<String> {
+    let columns = columns.min(panels.len()).max(1);
+    let rows = panels.len().div_ceil(columns);
+    let whole = (columns as u32 * size[0], rows as u32 * size[1]);
+    let mut svg = String::new();
+    draw_all(&mut svg, panels, (rows, columns), whole)
+        .map_err(|error| io::Error::other(error.to_string()))?;
+    Ok(svg)
+}
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+type Drawn = Result<(), DrawingAreaErrorKind<io::Error>>;
+
+fn draw_all(svg: &mut String, panels: &[Panel], split: (usize, usize), size: (u32, u32)) -> Drawn {
+    let root = SVGBackend::with_string(svg, size).into_drawing_area();
+    root.fill(&WHITE)?;
+    for (area, panel) in root.split_evenly(split).iter().zip(panels) {
+        panel.draw(area)?;
+    }
+    root.present()
+}
+
+impl Panel {
+    fn draw(&self, area: &Area<'_>) -> Drawn {
+        let points = || self.curves.iter().flat_map(|curve| &curve.points);
+        let x = self.x.ruler(points().map(|p| p.x));
+        let y = self.y.ruler(points().map(|p| p.y));
+        let mut chart = ChartBuilder::on(area)
+            .caption(&self.caption, ("sans-serif", 16))
+            .margin(8)
+            .x_label_area_size(34)
+            .y_label_area_size(58)
+            .build_cartesian_2d(x.clone(), y.clone())?;
+        chart
+            .configure_mesh()
+            .x_desc(self.x.name())
+            .x_label_formatter(&|v| x.label(*v))
+            .y_desc(self.y.name())
+            .y_label_formatter(&|v| y.label(*v))
+            .draw()?;
+        for (curve, colour) in self.curves.iter().zip(COLOURS.into_iter().cycle()) {
+            let style = colour.stroke_width(2);
+            let line = curve.points.iter().map(|p| (p.x, p.y));
+            chart
+                .draw_series(LineSeries::new(line, style))?
+                .label(&curve.name)
+                .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], style));
+            let bars = curve.points.iter().filter_map(|p| {
+                let [low, high] = p.interval?;
+                let ends = [low, high].map(|end| (p.x, end));
+                Some(PathElement::new(ends, colour.mix(0.5).stroke_width(5)))
+            });
+            chart.draw_series(bars)?;
+        }
+        if self.curves.iter().any(|curve| !curve.name.is_empty()) {
+            chart
+                .configure_series_labels()
+                .position(SeriesLabelPosition::UpperRight)
+                .background_style(WHITE.mix(0.8))
+                .draw()?;
+        }
+        Ok(())
+    }
+}
+
+/// An axis for given values: what is drawn where.
+#[derive(Clone)]
+struct Ruler {
+    logarithmic: bool,
+    /// Ends, after the logarithm if there is one.
+    ends: Range<f64>,
+    /// Places, after the logarithm if there is one, and what is written there.
+    marks: Vec<(f64, String)>,
+}
+
+impl Ranged for Ruler {
+    type FormatOption = DefaultFormatting;
+    type ValueType = f64;
+
+    /// What lies beyond the ends is drawn at them.
+    fn map(&self, value: &f64, (first, last): (i32, i32)) -> i32 {
+        let place = self.place(*value).clamp(self.ends.start, self.ends.end);
+        let part = (place - self.ends.start) / (self.ends.end - self.ends.start);
+        first + (part * f64::from(last - first)).round() as i32
+    }
+
+    fn key_points<Hint: KeyPointHint>(&self, _: Hint) -> Vec<f64> {
+        self.marks.iter().map(|(at, _)| self.value(*at)).collect()
+    }
+
+    fn range(&self) -> Range<f64> {
+        self.value(self.ends.start)..self.value(self.ends.end)
+    }
+}
+
+impl Ruler {
+    fn place(&self, value: f64) -> f64 {
+        if self.logarithmic {
+            value.max(f64::MIN_POSITIVE).log10()
+        } else {
+            value
+        }
+    }
+
+    fn value(&self, place: f64) -> f64 {
+        if self.logarithmic {
+            10.0_f64.powf(place)
+        } else {
+            place
+        }
+    }
+
+    /// What is written at a marked value.
+    fn label(&self, value: f64) -> String {
+        let place = self.place(value);
+        let mark = self.marks.iter().find(|(at, _)| (at - place).abs() < 1e-9);
+        mark.map_or_else(String::new, |(_, label)| label.clone())
+    }
+}
+
+impl Axis {
+    fn name(&self) -> &str {
+        match self {
+            Self::Decades(name)
+            | Self::Values(name, _)
+            | Self::Places(name, _)
+            | Self::AroundZero(name, _) => name,
+        }
+    }
+
+    fn ruler(&self, drawn: impl Iterator<Item = f64>) -> Ruler {
+        match self {
+            Self::Decades(_) => decades(drawn),
+            Self::Values(_, values) => {
+                let marks: Vec<(f64, String)> =
+                    values.iter().map(|v| (v.log10(), number(*v))).collect();
+                let first = marks.first().map_or(0.0, |(at, _)| *at);
+                let last = marks.last().map_or(1.0, |(at, _)| *at);
+                let margin = (0.05 * (last - first)).max(0.05);
+                Ruler {
+                    logarithmic: true,
+                    ends: first - margin..last + margin,
+                    marks,
+                }
+            }
+            Self::Places(_, names) => Ruler {
+                logarithmic: false,
+                ends: -0.5..names.len() as f64 - 0.5,
+                marks: (0..names.len())
+                    .map(|i| (i as f64, names[i].clone()))
+                    .collect(),
+            },
+            Self::AroundZero(_, limit) => Ruler {
+                logarithmic: false,
+                ends: -limit..*limit,
+                marks: [-1.0, -0.5, 0.0, 0.5, 1.0]
+                    .map(|part| (part * limit, number(part * limit)))
+                    .to_vec(),
+            },
+        }
+    }
+}
+
+/// Whole powers of ten around the values.
+fn decades(values: impl Iterator<Item = f64>) -> Ruler {
+    let values: Vec<f64> = values.filter(|v| *v > 0.0 && v.is_finite()).collect();
+    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = values.iter().copied().fold(0.0, f64::max);
+    let (from, to) = if values.is_empty() {
+        (-1, 0)
+    } else {
+        (least.log10().floor() as i32, most.log10().ceil() as i32)
+    };
+    let to = to.max(from + 1);
+    let step = (to - from).div_euclid(MOST_DECADES) + 1;
+    let marks = (from..=to).step_by(step as usize);
+    Ruler {
+        logarithmic: true,
+        ends: f64::from(from)..f64::from(to),
+        marks: marks
+            .map(|k| (f64::from(k), number(10.0_f64.powi(k))))
+            .collect(),
+    }
+}
+
+/// A number in few characters.
+pub(crate) fn number(value: f64) -> String {
+    if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
+        format!("{value:.0e}")
+    } else {
+        // Three digits are enough for a mark; zeros behind them go.
+        let rounded = format!("{value:.3}");
+        let short = rounded.trim_end_matches('0').trim_end_matches('.');
+        short.to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn decades_hold_all_values_between_whole_powers() {
+        let ruler = decades([0.03, 0.0, 7.0].into_iter());
+        assert_eq!(ruler.ends, -2.0..1.0);
+        assert_eq!(ruler.label(1.0), "1");
+        assert_eq!(ruler.map(&1.0, (0, 300)), 200);
+        assert_eq!(ruler.map(&0.0, (0, 300)), 0, "zero is drawn at the edge");
+        let long = decades([1e-9, 1e9].into_iter());
+        assert!(long.marks.len() <= 7, "{}", long.marks.len());
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        let words = [0.0, 0.075, -2.5, 24.0, 1e6, 1e-6].map(number);
+        assert_eq!(words, ["0", "0.075", "-2.5", "24", "1e6", "1e-6"]);
+    }
+}

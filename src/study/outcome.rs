@@ -1,0 +1,179 @@
+//! What came of a case, and the verdict on it.
+
+use crate::bench::Errors;
+
+/// Errors up to these are fine: of σ and of a flux as parts, of a direction in degrees.
+const FINE_SIGMA: f64 = 0.01;
+const FINE_FLUX: f64 = 0.03;
+const FINE_DIRECTION: f64 = 0.3;
+
+/// What came of a case.
+#[derive(Clone, Debug)]
+pub(super) enum Outcome {
+    /// Roughness and lights.
+    Solved(Box<Found>),
+    /// Neither, and why.
+    Refused(String),
+    /// The program did not end as it should.
+    Failed(String),
+}
+
+/// Roughness and lights compared with the truth.
+#[derive(Clone, Debug)]
+pub(super) struct Found {
+    /// σ, radians.
+    pub sigma: f64,
+    /// 95 % interval of σ over the true σ, less 1.
+    pub interval: Option<[f64; 2]>,
+    /// How far it is from the truth.
+    pub errors: Errors,
+    /// Lamps found, and how many there are.
+    pub lamps: [usize; 2],
+    /// What the program says against its own result.
+    pub doubt: Option<String>,
+    /// What it took.
+    pub cost: Cost,
+}
+
+/// What a solve took.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Cost {
+    /// Seconds of each of [`STAGES`]; no number where a stage was not run.
+    pub stages: Vec<Option<f64>>,
+    /// Seconds of the whole.
+    pub total: f64,
+    /// Bytes held at most, where the system tells.
+    pub peak_bytes: Option<f64>,
+    /// Seconds that reading and decoding the photographs and one pass over their pixels take.
+    pub floor: Option<f64>,
+}
+
+/// The stages of a solve in their order.
+pub(super) const STAGES: [&str; 7] = [
+    "load",
+    "surface",
+    "hemispheres",
+    "estimate",
+    "texture",
+    "albedo",
+    "save",
+];
+
+/// How a case is to be taken.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Verdict {
+    /// All errors are small.
+    Fine,
+    /// Some are not, in words.
+    Degrades(String),
+    /// Some are not, and the program says that the result is not to be trusted.
+    Doubted(String),
+    /// The program gives no roughness and no lights, and says why.
+    Refused(String),
+    /// The program crashed or did not end.
+    Failed(String),
+}
+
+impl Outcome {
+    /// The verdict on it.
+    pub(super) fn verdict(&self) -> Verdict {
+        match self {
+            Self::Solved(found) => found.verdict(),
+            Self::Refused(why) => Verdict::Refused(why.clone()),
+            Self::Failed(why) => Verdict::Failed(why.clone()),
+        }
+    }
+
+    /// What was found, if anything was.
+    pub(super) fn found(&self) -> Option<&Found> {
+        match self {
+            Self::Solved(found) => Some(found),
+            Self::Refused(_) | Self::Failed(_) => None,
+        }
+    }
+}
+
+impl Found {
+    /// Whether the interval of σ holds the truth.
+    pub(super) fn covers(&self) -> bool {
+        self.interval
+            .is_some_and(|[low, high]| low <= 0.0 && high >= 0.0)
+    }
+
+    fn verdict(&self) -> Verdict {
+        let worse = |error: Option<f64>, fine: f64| error.is_some_and(|e| e.abs() > fine);
+        let mut wrong = Vec::new();
+        if worse(self.errors.sigma, FINE_SIGMA) {
+            let side = if self.covers() { "within" } else { "beyond" };
+            wrong.push(format!("σ ({side} its interval)"));
+        }
+        if worse(self.errors.direction_deg, FINE_DIRECTION) {
+            wrong.push("directions".to_owned());
+        }
+        if worse(self.errors.flux, FINE_FLUX) {
+            wrong.push("fluxes".to_owned());
+        }
+        match &self.doubt {
+            Some(doubt) => Verdict::Doubted(doubt.clone()),
+            None if wrong.is_empty() => Verdict::Fine,
+            None => Verdict::Degrades(wrong.join(", ")),
+        }
+    }
+}
+
+impl Verdict {
+    /// In a word.
+    pub(super) fn word(&self) -> &'static str {
+        match self {
+            Self::Fine => "fine",
+            Self::Degrades(_) => "degrades",
+            Self::Doubted(_) => "doubted",
+            Self::Refused(_) => "refused",
+            Self::Failed(_) => "failed",
+        }
+    }
+
+    /// What is said with it.
+    pub(super) fn words(&self) -> &str {
+        match self {
+            Self::Fine => "",
+            Self::Degrades(words)
+            | Self::Doubted(words)
+            | Self::Refused(words)
+            | Self::Failed(words) => words,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(sigma: f64, half_width: f64) -> Found {
+        Found {
+            sigma: 0.1 * (1.0 + sigma),
+            interval: Some([sigma - half_width, sigma + half_width]),
+            errors: Errors {
+                sigma: Some(sigma),
+                direction_deg: Some(0.1),
+                flux: Some(0.01),
+                hemisphere: None,
+            },
+            lamps: [1, 1],
+            doubt: None,
+            cost: Cost::default(),
+        }
+    }
+
+    #[test]
+    fn a_verdict_says_whether_the_interval_knows() {
+        assert_eq!(found(0.002, 0.001).verdict(), Verdict::Fine);
+        let words = |found: Found| found.verdict().words().to_owned();
+        assert_eq!(words(found(0.05, 0.06)), "σ (within its interval)");
+        assert_eq!(words(found(-0.05, 0.01)), "σ (beyond its interval)");
+        let mut doubted = found(0.05, 0.01);
+        doubted.doubt = Some("Why.".to_owned());
+        doubted.errors.direction_deg = Some(2.0);
+        assert_eq!(doubted.verdict(), Verdict::Doubted("Why.".to_owned()));
+    }
+}
