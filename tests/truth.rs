@@ -4,9 +4,14 @@
 
 mod command;
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use command::rekindle;
+use rekindle::capture::Capture;
+use rekindle::estimate::{EstimateParams, Shortcut, Unobserved};
+use rekindle::solution::{Solution, SolutionLamp, SolveOptions, solve};
+use rekindle::synth::{Light, Material, Object, Places, Recipe, make};
 
 /// Fails unless the program refuses with status 2 and one line, which is returned.
 fn refused(arguments: &[&str]) -> String {
@@ -209,4 +214,92 @@ fn a_study_judges_every_case_and_leaves_nothing_but_its_report() {
         message.contains("stability/charm") && message.contains("noise"),
         "{message}"
     );
+}
+
+/// A sphere under two lamps, as small as it can be.
+fn small_capture(folder: &Path) -> Capture {
+    let mut recipe = Recipe {
+        object: Object::Sphere,
+        triangles: 2000,
+        material: Material::paper(0.12, 0.4),
+        truth_pictures: false,
+        ..Recipe::default()
+    };
+    if let Light::Lamps(lamps) = &mut recipe.light {
+        lamps.places = Places::Spread(2);
+        lamps.contrast = 1.5;
+    }
+    recipe.views.count = 4;
+    recipe.views.size = [96, 72];
+    recipe.views.supersampling = 1;
+    make(&recipe, folder, &mut |_, _| ControlFlow::Continue(())).unwrap();
+    Capture::load(folder).unwrap()
+}
+
+#[test]
+fn what_is_left_out_changes_nothing_to_speak_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let capture = small_capture(&folder.path().join("capture"));
+    let without = |avoided: &[Shortcut]| {
+        let options = SolveOptions {
+            estimate: EstimateParams {
+                avoided: avoided.iter().copied().collect(),
+                ..EstimateParams::default()
+            },
+            frequency: 14,
+            radius: None,
+        };
+        solve(&capture, &options, 0.0, &mut Unobserved).unwrap()
+    };
+    let counted = |solution: &Solution, shortcut: Shortcut| {
+        let mut counts = solution.skipped.left_out.iter();
+        let count = counts.find(|count| count.what == shortcut.name()).unwrap();
+        (count.left_out, count.all)
+    };
+    let angle = |one: &SolutionLamp, other: &SolutionLamp| {
+        let (one, other) = (one.direction.as_dvec3(), other.direction.as_dvec3());
+        one.angle_between(other)
+    };
+    let usual = without(&[]);
+    for shortcut in Shortcut::ALL {
+        let (left_out, all) = counted(&usual, shortcut);
+        assert!(0 < left_out && left_out < all, "{shortcut:?}: {left_out}");
+    }
+    let (dark, others) = Shortcut::ALL.split_first().unwrap();
+    for avoided in [&[*dark][..], others] {
+        let whole = without(avoided);
+        for &shortcut in avoided {
+            assert_eq!(counted(&whole, shortcut).0, 0, "{shortcut:?}");
+        }
+        let sigma = |solution: &Solution| solution.brdf.unwrap().sigma;
+        let change = sigma(&whole) / sigma(&usual) - 1.0;
+        assert!(change.abs() < 2e-4, "{avoided:?}: σ changes by {change}");
+        // Both lamps; what may be found of dim light beside them is not looked at.
+        let pairs: Vec<_> = usual.lamps[..2]
+            .iter()
+            .map(|lamp| {
+                let away = |other: &&SolutionLamp| angle(lamp, other);
+                let nearest = whole.lamps.iter();
+                let nearest = nearest.min_by(|a, b| away(a).total_cmp(&away(b))).unwrap();
+                (lamp, nearest)
+            })
+            .collect();
+        for (lamp, nearest) in &pairs {
+            let off = angle(lamp, nearest).to_degrees();
+            assert!(off < 0.05, "{avoided:?}: a lamp is off by {off}°");
+        }
+        let ratio = |(lamp, nearest): &(&SolutionLamp, &SolutionLamp)| {
+            nearest.flux.element_sum() / lamp.flux.element_sum()
+        };
+        let change = ratio(&pairs[0]) / ratio(&pairs[1]) - 1.0;
+        assert!(change.abs() < 5e-3, "{avoided:?}: fluxes by {change}");
+    }
+}
+
+#[test]
+fn an_unbounded_solve_is_refused() {
+    let source = capture();
+    let solve = ["solve", source.to_str().unwrap(), "-o", "out"];
+    let message = refused(&[&solve[..], &["--do-all", "dark-cells"]].concat());
+    assert!(message.contains("--frequency 20"), "{message}");
 }

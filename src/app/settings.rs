@@ -113,6 +113,7 @@ impl Estimation {
                     .specular
                     .map_or(SpecularChoice::Auto, SpecularChoice::Model),
                 as_stated: self.as_stated,
+                ..EstimateParams::default()
             },
             frequency: self.frequency,
             radius: self.radius,

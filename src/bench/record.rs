@@ -11,7 +11,7 @@ use super::{Audience, memory};
 use crate::capture::Capture;
 use crate::estimate::{Interim, Iteration, Method, Observer};
 use crate::hemisphere::HemisphereGrid;
-use crate::solution::{SolveOptions, solve};
+use crate::solution::{Skipped, SolveOptions, solve};
 
 /// An iteration and its errors.
 #[derive(Clone, Copy, Debug)]
@@ -44,6 +44,8 @@ pub struct Run {
     pub views: ViewErrors,
     /// Seconds of each stage, in order; the time spent on watching is taken out.
     pub stages: Vec<(String, f64)>,
+    /// What was not done because the capture doesn't need it.
+    pub skipped: Skipped,
     /// Bytes held at most, where the system tells.
     pub peak_bytes: Option<u64>,
 }
@@ -160,6 +162,7 @@ pub(super) fn record(
         errors: measures.errors(sigma, &found, &solution.grid, &solution.radiance),
         views: views::compare(&solution, truth, audience)?,
         stages,
+        skipped: solution.skipped,
         peak_bytes,
     })
 }

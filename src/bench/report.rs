@@ -154,6 +154,7 @@ impl Report {
         self.add_errors(&mut text);
         text.push_str("\n## Seconds of each stage\n\n");
         self.add_stages(&mut text);
+        self.add_skipped(&mut text);
         self.add_ratios(&mut text);
         for (capture, file) in plots {
             let _ = write!(text, "\n![Error against seconds, {capture}](<{file}>)\n");
@@ -198,6 +199,33 @@ impl Report {
                 run.capture,
                 name(run.method),
                 seconds.join(" | ")
+            );
+        }
+    }
+
+    /// What was left out, as parts of all there was.
+    fn add_skipped(&self, text: &mut String) {
+        text.push_str("\n## Left out as the capture doesn't need it\n\n");
+        let mut names: Vec<&str> = Vec::new();
+        for count in self.runs.iter().flat_map(|run| &run.skipped.left_out) {
+            if !names.contains(&count.what.as_str()) {
+                names.push(&count.what);
+            }
+        }
+        let _ = writeln!(text, "| capture | method | {} |", names.join(" | "));
+        let _ = writeln!(text, "| --- | --- |{}", " --- |".repeat(names.len()));
+        for run in self.runs.iter().filter(|run| run.round == 1) {
+            let parts = names.iter().map(|name| {
+                let count = run.skipped.left_out.iter().find(|c| c.what == *name);
+                let part = count.map(|c| 100.0 * c.left_out as f64 / c.all.max(1) as f64);
+                with_unit(cell(part, 1), " %")
+            });
+            let _ = writeln!(
+                text,
+                "| {} | {} | {} |",
+                run.capture,
+                name(run.method),
+                parts.collect::<Vec<_>>().join(" | ")
             );
         }
     }

@@ -4,6 +4,7 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use anyhow::bail;
 use clap::ValueEnum;
 
 use super::interrupt::{self, Interrupted};
@@ -11,8 +12,13 @@ use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
 use crate::bench::peak;
 use crate::capture::Capture;
-use crate::estimate::{EstimateParams, Iteration, Method, Observer, SpecularChoice, SpecularModel};
+use crate::estimate::{
+    EstimateParams, Iteration, Method, Observer, Shortcut, SpecularChoice, SpecularModel,
+};
 use crate::solution::{Solution, SolveOptions, check_destination, solve};
+
+/// Frequency of the hemisphere up to which all its nodes can be unknowns at once: 2000 of them.
+const MOST_DENSE: u32 = 20;
 
 /// Arguments of `rekindle solve`.
 #[derive(clap::Args)]
@@ -44,6 +50,39 @@ pub(super) struct EstimationArgs {
     /// Take cameras and exposures as stated, even where outlines and radiances do not fit
     #[arg(long)]
     as_stated: bool,
+    /// Do also what is left out because it changes nothing to speak of, to see that it does
+    #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',')]
+    do_all: Vec<ShortcutArg>,
+}
+
+/// Work that is left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ShortcutArg {
+    /// Make every node of the hemisphere an unknown, not only those where light was found (frequency 20 at most)
+    DarkCells,
+    /// Solve for all cells at once, not only for those that are lit and those beside them
+    FarCells,
+    /// Evaluate lobes also where they have fallen to nothing
+    Lobes,
+    /// Look also at points that show no lamp's highlight
+    UnlitPoints,
+    /// Cast a ray for every cell and point
+    ShadowRays,
+    /// Try all roughnesses, for both specular models
+    Roughnesses,
+}
+
+impl ShortcutArg {
+    fn shortcut(self) -> Shortcut {
+        match self {
+            Self::DarkCells => Shortcut::DarkCells,
+            Self::FarCells => Shortcut::FarCells,
+            Self::Lobes => Shortcut::Lobes,
+            Self::UnlitPoints => Shortcut::UnlitPoints,
+            Self::ShadowRays => Shortcut::ShadowRays,
+            Self::Roughnesses => Shortcut::Roughnesses,
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -88,11 +127,24 @@ impl Default for EstimationArgs {
             frequency: 70,
             radius: None,
             as_stated: false,
+            do_all: Vec::new(),
         }
     }
 }
 
 impl EstimationArgs {
+    /// Refuses what would take all memory there is.
+    fn check(&self) -> anyhow::Result<()> {
+        if self.do_all.contains(&ShortcutArg::DarkCells) && self.frequency > MOST_DENSE {
+            bail!(
+                "--do-all dark-cells makes every node an unknown, which are too many at frequency {}; give --frequency \
+                 {MOST_DENSE} or less",
+                self.frequency
+            );
+        }
+        Ok(())
+    }
+
     fn options(&self) -> SolveOptions {
         SolveOptions {
             estimate: EstimateParams {
@@ -103,6 +155,11 @@ impl EstimationArgs {
                     SpecularArg::Auto => SpecularChoice::Auto,
                 },
                 as_stated: self.as_stated,
+                avoided: self
+                    .do_all
+                    .iter()
+                    .map(|shortcut| shortcut.shortcut())
+                    .collect(),
             },
             frequency: self.frequency,
             radius: self.radius,
@@ -141,6 +198,7 @@ fn go_on() -> ControlFlow<()> {
 
 pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
     check_destination(&args.output)?;
+    args.options.check()?;
     let mut progress = Progress::new(output);
     progress.stage("reading the capture", 0.0);
     let started = Instant::now();

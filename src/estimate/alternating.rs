@@ -124,6 +124,7 @@ pub fn solve(
         near: solver.near,
         visibility: Vec::new(),
         diffuse_known: true,
+        shortcuts: solver.shortcuts,
         stop: solver.stop,
     };
     design.visibility = cell_visibility(&design, solver.pyramid, &cells, &brdf, solver.occluder);

@@ -16,6 +16,7 @@ use super::cells::CellGeometry;
 use super::lobes::{CellLobes, PointLobes};
 use super::model::Brdf;
 use super::observations::{Observations, Point};
+use super::shortcuts::{Shortcut, Shortcuts};
 use crate::math::vector;
 
 /// Points are always cut into this many runs, so that sums come out the same on any number of threads.
@@ -43,6 +44,8 @@ pub struct Design<'a> {
     pub visibility: Vec<f32>,
     /// Whether the rows' diffuse part has been subtracted already, so that nothing is left to eliminate.
     pub diffuse_known: bool,
+    /// What may be left out.
+    pub shortcuts: &'a Shortcuts,
     /// Once this is set, long sums end where they are, and what they give is of no use.
     pub stop: &'a AtomicBool,
 }
@@ -89,7 +92,8 @@ impl Design<'_> {
     }
 
     fn lobes(&self, brdf: &Brdf) -> CellLobes<'_> {
-        CellLobes::new(brdf, &self.geometry, self.near)
+        let whole = !self.shortcuts.takes(Shortcut::Lobes);
+        CellLobes::new(brdf, &self.geometry, self.near, whole)
     }
 
     /// The eliminated normal equations for weights per row.
@@ -143,8 +147,14 @@ impl Design<'_> {
                 self.light(lobes, index, &mut light);
                 self.fill_point(lobes, index, &light, &mut block);
             }
-            let (columns, mut compact) = compress(&block, width);
+            let (columns, mut compact) = if self.shortcuts.takes(Shortcut::Lobes) {
+                compress(&block, width)
+            } else {
+                ((0..width).collect(), block.clone())
+            };
             let m = columns.len();
+            let left_out = (width - m) * (block.len() / width);
+            self.shortcuts.count(Shortcut::Lobes, block.len(), left_out);
             let mut rest = compact.as_mut_slice();
             for point in &self.observations.points[points] {
                 let (rows, others) = rest.split_at_mut(point.rows.len() * m);
@@ -182,6 +192,7 @@ impl Design<'_> {
     }
 
     /// The same points with some of the cells only.
+    #[must_use]
     pub fn restricted(&self, kept: &[usize]) -> Self {
         let n = self.cells();
         let pick = |values: &[f32]| kept.iter().map(|&c| values[c]).collect();

@@ -19,6 +19,7 @@ use super::lobes::light_from;
 use super::model::{Brdf, SpecularModel};
 use super::observations::{Candidate, Observations, Row, Sampling, Seen};
 use super::observer::{Interim, Iteration, Observer, Stopped, go_on};
+use super::shortcuts::{Shortcut, Shortcuts};
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
 use super::support::drop_unsupported;
 use super::visibility::cell_visibility;
@@ -107,6 +108,8 @@ pub struct Solver<'a> {
     pub coarse: Observations,
     /// The clock that iterations are timed by.
     pub started: Instant,
+    /// What may be left out.
+    pub shortcuts: &'a Shortcuts,
     /// Set once the observer wants no more.
     pub stop: &'a AtomicBool,
 }
@@ -176,10 +179,13 @@ impl Solver<'_> {
             let ratio = near.map_or(1.0, |n| sigma / n);
             (1.0 / NEAR_RATIO..NEAR_RATIO).contains(&ratio)
         };
+        let thrifty = self.shortcuts.takes(Shortcut::Roughnesses);
+        let mut tried = 0;
         for (k, sigma) in SIGMAS.into_iter().enumerate() {
-            if k > 0 && !is_near(sigma) {
+            if thrifty && k > 0 && !is_near(sigma) {
                 continue;
             }
+            tried += 1;
             let done = 0.3 * k as f32 / SIGMAS.len() as f32;
             go_on(watch.observer.progress("comparing roughnesses", done))?;
             let mut state = dark.clone();
@@ -198,7 +204,7 @@ impl Solver<'_> {
             {
                 worse += 1;
             }
-            if worse == TIMES_WORSE {
+            if thrifty && worse == TIMES_WORSE {
                 break;
             }
             if best.as_ref().is_none_or(|(c, _)| cost < *c) {
@@ -206,6 +212,9 @@ impl Solver<'_> {
                 worse = 0;
             }
         }
+        let left_out = SIGMAS.len() - tried;
+        self.shortcuts
+            .count(Shortcut::Roughnesses, SIGMAS.len(), left_out);
         let (cost, mut state) = best.unwrap_or((f64::INFINITY, dark));
         let sharpness = 1.0 - cost / broadest.unwrap_or(cost).max(f64::MIN_POSITIVE);
         self.improve(&mut state, 4, ROUGH, watch)?;
@@ -234,7 +243,12 @@ impl Solver<'_> {
             let (rounds, precision) = if last { (10, EXACT) } else { (4, ROUGH) };
             state.solve_lights(precision);
             if last {
-                state = self.narrow(&state);
+                if self.shortcuts.takes(Shortcut::DarkCells) {
+                    state = self.narrow(&state);
+                }
+                let (all, unknown) = (self.grid.directions.len(), state.cells.len());
+                self.shortcuts
+                    .count(Shortcut::DarkCells, all, all.saturating_sub(unknown));
             }
             let settled = self.improve(&mut state, rounds, precision, watch)?;
             drop_unsupported(&mut state, precision);
@@ -322,6 +336,7 @@ impl Solver<'_> {
             near: self.near,
             visibility: Vec::new(),
             diffuse_known: false,
+            shortcuts: self.shortcuts,
             stop: self.stop,
         }
     }
@@ -350,25 +365,44 @@ impl Solver<'_> {
     fn candidates_showing(&self, directions: &[Vec3], brdf: &Brdf, limit: usize) -> Vec<Candidate> {
         let reach = brdf.half_angle_support(LEAST_LOBE) + 0.25 * self.pyramid.spacing(0);
         let least = reach.min(std::f32::consts::FRAC_PI_2).cos();
-        let keep = |position: Vec3, normal: Vec3, rows: &[Row]| {
+        let shows = |position: Vec3, normal: Vec3, rows: &[Row]| {
             directions.iter().any(|&d| {
                 let (l, _) = light_from(self.near, d, position);
                 rows.iter()
                     .any(|r| (l + r.to_camera).normalize_or_zero().dot(normal) > least)
             })
         };
+        let thrifty = self.shortcuts.takes(Shortcut::UnlitPoints);
+        let keep = |position: Vec3, normal: Vec3, rows: &[Row]| {
+            let kept = !thrifty || shows(position, normal, rows);
+            self.shortcuts
+                .count(Shortcut::UnlitPoints, 1, usize::from(!kept));
+            kept
+        };
         let sampling = Sampling {
             candidates: FINE_CANDIDATES,
-            limit,
+            limit: if thrifty { limit } else { usize::MAX },
             keep: &keep,
             scale: Some(self.coarse.scale),
             stop: self.stop,
         };
-        Candidate::all(&self.seen, &sampling)
+        let mut points = Candidate::all(&self.seen, &sampling);
+        if !thrifty {
+            // As many of those that matter, with the others that lie between them.
+            let mut showing = 0;
+            points.retain(|point| {
+                showing += usize::from(point.is_kept_by(shows));
+                showing <= limit
+            });
+        }
+        points
     }
 
     /// Lit cells and those beside them, to be split; and lit cells that are too dim to be.
     fn worth_splitting(&self, state: &State<'_>) -> (BTreeSet<Cell>, BTreeSet<Cell>) {
+        if !self.shortcuts.takes(Shortcut::DarkCells) {
+            return (state.cells.iter().copied().collect(), BTreeSet::new());
+        }
         let mut lit: Vec<(f32, Cell)> = state
             .cells
             .iter()

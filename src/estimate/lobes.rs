@@ -60,8 +60,13 @@ pub fn light_from(near: Option<(Vec3, f32)>, direction: Vec3, position: Vec3) ->
 }
 
 impl<'a> CellLobes<'a> {
-    /// Lobes of `brdf` on these cells.
-    pub fn new(brdf: &Brdf, geometry: &'a CellGeometry, near: Option<(Vec3, f32)>) -> Self {
+    /// Lobes of `brdf` on these cells, cut where they have fallen to nothing unless they are to be `whole`.
+    pub fn new(
+        brdf: &Brdf,
+        geometry: &'a CellGeometry,
+        near: Option<(Vec3, f32)>,
+        whole: bool,
+    ) -> Self {
         let variance = brdf.sigma * brdf.sigma;
         let padding = padded(geometry.spread.len()) - geometry.spread.len();
         let inverse_variance: Vec<f32> = geometry
@@ -75,7 +80,11 @@ impl<'a> CellLobes<'a> {
             sigma: sigma.iter().fold(brdf.sigma, |m, &s| m.max(s)),
             ..*brdf
         };
-        let support = widest.half_angle_support(CUTOFF);
+        let support = if whole {
+            std::f32::consts::FRAC_PI_2
+        } else {
+            widest.half_angle_support(CUTOFF)
+        };
         Self {
             brdf: *brdf,
             geometry,

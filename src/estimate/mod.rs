@@ -5,17 +5,18 @@
 //! K_S = 1, because it can't be told from the lights' strength.
 
 mod alternating;
-mod cells;
-mod design;
+pub mod cells;
+pub mod design;
 mod diagnose;
 mod exposures;
 mod fast;
 mod lamps;
-mod lobes;
+pub mod lobes;
 mod model;
-mod observations;
+pub mod observations;
 mod observer;
 mod relief;
+mod shortcuts;
 mod state;
 mod support;
 mod total_variation;
@@ -45,6 +46,7 @@ pub(crate) use observer::watched;
 pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 use relief::Bench;
 pub use relief::RefinedSurface;
+pub use shortcuts::{LeftOut, Shortcut, ShortcutSet, Shortcuts};
 
 /// How the minimum is sought.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -80,6 +82,8 @@ pub struct EstimateParams {
     pub specular: SpecularChoice,
     /// Whether cameras and exposures are taken as the capture states them, even where they do not fit each other.
     pub as_stated: bool,
+    /// Shortcuts that are not taken: what they leave out is done.
+    pub avoided: ShortcutSet,
 }
 
 /// What an estimation works on.
@@ -127,6 +131,26 @@ pub struct Estimate {
     pub refined: Option<RefinedSurface>,
     /// How much brighter each view was found to be than the common scale on which all this holds; empty where they agree.
     pub exposures: Vec<f64>,
+    /// What was left out.
+    pub left_out: Vec<LeftOut>,
+}
+
+impl Estimate {
+    /// Nothing found.
+    fn dark(method: Method, grid: &HemisphereGrid) -> Self {
+        Self {
+            method,
+            brdf: None,
+            sigma_interval95: None,
+            radiance: vec![[0.0; 3]; grid.directions.len()],
+            diagnostics: Diagnostics::default(),
+            convergence: Vec::new(),
+            chosen_because: String::new(),
+            refined: None,
+            exposures: Vec::new(),
+            left_out: Vec::new(),
+        }
+    }
 }
 
 /// Estimates roughness and lighting of a capture.
@@ -138,7 +162,9 @@ pub fn estimate(
     observer: &mut dyn Observer,
 ) -> Result<Estimate, Stopped> {
     watched(observer, |watcher| {
-        let result = run(input, params, watcher, Start::default())?;
+        let shortcuts = Shortcuts::without(params.avoided);
+        let mut result = run(input, params, &shortcuts, watcher, Start::default())?;
+        result.left_out = shortcuts.counted();
         // What long sums give after a stop is of no use.
         if watcher.stop().load(Ordering::Relaxed) {
             return Err(Stopped);
@@ -173,6 +199,7 @@ impl Default for Start {
 fn run(
     input: &EstimateInput<'_>,
     params: &EstimateParams,
+    shortcuts: &Shortcuts,
     mut watcher: &Watcher<'_>,
     start: Start,
 ) -> Result<Estimate, Stopped> {
@@ -193,18 +220,13 @@ fn run(
         near: grid.radius.map(|r| (grid.centre, r)),
         coarse: Solver::coarse_observations(&seen, None, stop),
         started: start.clock,
+        shortcuts,
         stop,
     };
     let mut result = Estimate {
-        method: params.method,
-        brdf: None,
-        sigma_interval95: None,
-        radiance: vec![[0.0; 3]; grid.directions.len()],
-        diagnostics: Diagnostics::default(),
         convergence: start.convergence,
-        chosen_because: String::new(),
-        refined: None,
         exposures: start.exposures.clone(),
+        ..Estimate::dark(params.method, grid)
     };
     if let Some(reason) = diagnose::unseparable(input.capture, &solver.coarse) {
         result.diagnostics.warnings.push(reason);
@@ -249,7 +271,7 @@ fn run(
             capture: &evened,
             ..*input
         };
-        return run(&input, params, watcher, start);
+        return run(&input, params, shortcuts, watcher, start);
     }
     let refined = if diagnose::surface_too_coarse(&coarse.state) {
         relief::refine(&solver, params.specular, &mut watch)?

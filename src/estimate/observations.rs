@@ -162,6 +162,11 @@ pub struct Candidate {
 }
 
 impl Candidate {
+    /// Whether [`Sampling::keep`] would keep it.
+    pub fn is_kept_by(&self, keep: impl Fn(Vec3, Vec3, &[Row]) -> bool) -> bool {
+        keep(self.position, self.normal, &self.rows)
+    }
+
     /// The points of a sampling in random order, so that the first of them are an even sample too.
     pub fn all(seen: &Seen<'_>, sampling: &Sampling<'_>) -> Vec<Self> {
         let interior: usize = seen

@@ -550,6 +550,7 @@ fn design<'o>(solver: &Solver<'o>, lamps: &Lamps, observations: &'o Observations
         near: solver.near,
         visibility: Vec::new(),
         diffuse_known: false,
+        shortcuts: solver.shortcuts,
         stop: solver.stop,
     };
     let around: Vec<Cell> = lamps

@@ -8,6 +8,7 @@ use faer::{Col, Mat, Side};
 use super::cells::Cell;
 use super::design::{Design, NormalEquations, Prediction};
 use super::model::Brdf;
+use super::shortcuts::Shortcut;
 use super::weights::{
     Residuals, eliminate, initial_weights, magnitude, residuals, robust_objective, robust_weights,
     weighted_rms,
@@ -157,6 +158,9 @@ impl<'a> State<'a> {
 
     /// [`State::solve_lights`] over the cells that are lit and those beside them, which are few, as long as others stay dark.
     pub fn solve_lit(&mut self, precision: Precision) {
+        if !self.design.shortcuts.takes(Shortcut::FarCells) {
+            self.candidates = (0..self.cells.len()).collect();
+        }
         self.solve_candidates(precision);
         self.candidates = self.around(&self.lit());
     }
@@ -188,6 +192,9 @@ impl<'a> State<'a> {
         };
         let mut equations = design.normal_equations(&self.brdf, &self.weights);
         let n = self.candidates.len();
+        let all = self.cells.len();
+        let shortcuts = self.design.shortcuts;
+        shortcuts.count(Shortcut::FarCells, all, all - n);
         let gram = &mut equations.gram;
         let mean = (0..n).map(|i| gram[(i, i)]).sum::<f64>() / n.max(1) as f64;
         for i in 0..n {

@@ -4,6 +4,7 @@ use std::f32::consts::PI;
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::LazyLock;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
@@ -18,6 +19,7 @@ use crate::capture::read_radiance;
 use crate::hemisphere::{Lamp, find_lamps};
 
 static NEVER: AtomicBool = AtomicBool::new(false);
+static SHORTCUTS: LazyLock<Shortcuts> = LazyLock::new(Shortcuts::default);
 
 fn load() -> Capture {
     load_named("spot_paper")
@@ -363,6 +365,7 @@ fn design<'a>(observations: &'a Observations, pyramid: &Pyramid, cells: &[Cell])
         near: None,
         visibility: Vec::new(),
         diffuse_known: false,
+        shortcuts: &SHORTCUTS,
         stop: &NEVER,
     }
 }

@@ -10,6 +10,7 @@ use super::cells::{Cell, Pyramid};
 use super::design::Design;
 use super::lobes::light_from;
 use super::model::Brdf;
+use super::shortcuts::Shortcut;
 use crate::surface::Occluder;
 
 /// Part of a lobe's peak below which a light is not worth a shadow ray.
@@ -69,14 +70,25 @@ pub fn cell_visibility(
                             < support
                     })
             };
+            if !design.shortcuts.takes(Shortcut::ShadowRays) {
+                for (out, &direction) in out.iter_mut().zip(&design.geometry.directions) {
+                    *out = f32::from(u8::from(sees(direction)));
+                }
+                design.shortcuts.count(Shortcut::ShadowRays, n, 0);
+                return;
+            }
             let seen: Vec<Option<bool>> = groups
                 .list
                 .iter()
                 .map(|g| matters(g.direction).then(|| sees(g.direction)))
                 .collect();
+            let mut rays = seen.iter().flatten().count();
             for (g, own) in groups.list.iter().zip(&seen) {
                 let Some(own) = *own else { continue };
                 let agreed = g.around.iter().all(|&o| seen[o].is_none_or(|s| s == own));
+                if !agreed {
+                    rays += g.members.len();
+                }
                 for &c in &g.members {
                     let s = if agreed {
                         own
@@ -86,6 +98,8 @@ pub fn cell_visibility(
                     out[c] = f32::from(u8::from(s));
                 }
             }
+            let left_out = n.saturating_sub(rays);
+            design.shortcuts.count(Shortcut::ShadowRays, n, left_out);
         });
     visibility
 }

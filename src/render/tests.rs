@@ -12,7 +12,7 @@ use crate::hemisphere::{HemisphereGrid, srgb};
 use crate::relight::{
     Interreflection, LampNodes, LightNode, Lighting, Scene, Shader, texel_irradiance,
 };
-use crate::solution::{Fit, Solution, SolutionLamp};
+use crate::solution::{Fit, Skipped, Solution, SolutionLamp};
 use crate::studio::ViewTransform;
 use crate::surface::fixtures::{bumpy_sphere, camera};
 use crate::surface::{Atlas, Occluder};
@@ -86,6 +86,7 @@ fn solved(brdf: Option<Brdf>, radius: Option<f32>) -> Solution {
         ambient: Vec3::splat(0.2),
         diagnostics: Diagnostics::default(),
         fit: Fit::default(),
+        skipped: Skipped::default(),
         timings: Vec::new(),
         convergence: Vec::new(),
         cameras: Vec::new(),

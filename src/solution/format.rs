@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::estimate::{Diagnostics, Iteration, Method, SpecularModel};
+use crate::estimate::{Diagnostics, Iteration, LeftOut, Method, SpecularModel};
 use crate::registration::Correction;
 
 /// What `format` says.
@@ -36,6 +36,9 @@ pub(super) struct Manifest {
     pub(super) ambient: [f32; 3],
     pub(super) diagnostics: Diagnostics,
     pub(super) fit: Fit,
+    /// Nothing in solutions that were written before it was counted.
+    #[serde(default, skip_serializing_if = "Skipped::is_empty")]
+    pub(super) skipped: Skipped,
     pub(super) timings_s: serde_json::Map<String, serde_json::Value>,
     pub(super) convergence: Vec<Iteration>,
     pub(super) texture: Texture,
@@ -68,6 +71,21 @@ pub struct Fit {
     pub residual_rms: f64,
     /// PSNR of each view, sRGB-encoded, white at its 99.5th percentile, in dB.
     pub psnr_db_per_view: Vec<f32>,
+}
+
+/// What a solve did not do because the capture doesn't need it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Skipped {
+    /// Parts of the estimation, each with how much of it was left out; `rekindle solve --do-all` does them.
+    pub left_out: Vec<LeftOut>,
+    /// Stages that were not needed, each with the reason.
+    pub stages: Vec<String>,
+}
+
+impl Skipped {
+    fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 #[derive(Serialize, Deserialize)]

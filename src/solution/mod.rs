@@ -19,7 +19,7 @@ mod staging;
 
 pub use error::SolutionError;
 pub use exr_file::{write_rgb, write_rgba};
-pub use format::Fit;
+pub use format::{Fit, Skipped};
 pub use mesh_file::{write_obj, write_plain_obj};
 pub use solve::{SolveOptions, solve};
 pub use staging::{Staging, abandon_unfinished};
@@ -100,6 +100,8 @@ pub struct Solution {
     pub diagnostics: Diagnostics,
     /// How well the input views are reproduced.
     pub fit: Fit,
+    /// What was not done because the capture doesn't need it.
+    pub skipped: Skipped,
     /// Seconds of each stage, in order.
     pub timings: Vec<(String, f64)>,
     /// The estimation's iterations.
@@ -311,6 +313,7 @@ impl Solution {
                 residual_rms: finite(self.fit.residual_rms),
                 psnr_db_per_view: views.map(|&db| finite(db.into()) as f32).collect(),
             },
+            skipped: self.skipped.clone(),
             timings_s: to_map(&self.timings),
             convergence: self
                 .convergence
@@ -394,6 +397,7 @@ impl Solution {
                 .map(|(stage, seconds)| (stage, seconds.as_f64().unwrap_or(0.0)))
                 .collect(),
             convergence: manifest.convergence,
+            skipped: manifest.skipped,
             cameras: cameras.map_err(|what| damaged("cameras.json", what))?,
             mesh: Mesh {
                 positions: mesh.mesh.positions,
@@ -652,7 +656,7 @@ mod tests {
     use super::*;
     use crate::capture::Distortion;
     use crate::damage::{Random, damaged};
-    use crate::estimate::SpecularModel;
+    use crate::estimate::{LeftOut, SpecularModel};
     use glam::{DAffine3, DQuat, DVec2, DVec3};
 
     fn camera() -> Camera {
@@ -712,6 +716,14 @@ mod tests {
             ambient: Vec3::splat(0.01),
             diagnostics: Diagnostics::default(),
             fit: Fit::default(),
+            skipped: Skipped {
+                left_out: vec![LeftOut {
+                    what: "lobes".to_owned(),
+                    all: 5,
+                    left_out: 3,
+                }],
+                stages: vec!["refining".to_owned()],
+            },
             timings: Vec::new(),
             convergence: Vec::new(),
             cameras: vec![("images/a.exr".to_owned(), camera())],

@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use glam::Vec3;
 
-use super::{Fit, HemispherePicture, Solution, SolutionLamp, lighting};
-use crate::capture::{Capture, Mesh, View};
+use super::{Fit, HemispherePicture, Skipped, Solution, SolutionLamp, lighting};
+use crate::capture::{Camera, Capture, Mesh, View};
 use crate::estimate::{
     Diagnostics, Estimate, EstimateInput, EstimateParams, Interim, Iteration, Observer, Stopped,
     estimate, watched,
@@ -169,11 +169,14 @@ pub fn solve(
         Ok((texture, albedo))
     })?;
 
+    let skipped = skipped(&found, &corrections);
     round_to_halves(&mut texture.confidence);
-    let mut warnings = stated.warnings.clone();
-    warnings.extend(describe(&corrections));
-    warnings.extend(atlas.warnings.iter().cloned());
-    warnings.extend(found.diagnostics.warnings.iter().cloned());
+    let warnings = [
+        stated.warnings.clone(),
+        describe(&corrections),
+        atlas.warnings.clone(),
+        found.diagnostics.warnings,
+    ];
     Ok(Solution {
         name: stated.name.clone(),
         method: found.method,
@@ -186,17 +189,14 @@ pub fn solve(
         lamps,
         ambient: albedo.ambient,
         diagnostics: Diagnostics {
-            warnings,
+            warnings: warnings.concat(),
             ..found.diagnostics
         },
         fit: summarise(&texture.fit),
+        skipped,
         timings: clock.stages,
         convergence: found.convergence,
-        cameras: capture
-            .views
-            .iter()
-            .map(|view| (view.name.clone(), view.camera.clone()))
-            .collect(),
+        cameras: cameras(&capture.views),
         mesh: mesh.clone(),
         atlas,
         diffuse: rounded(texture.radiance),
@@ -204,6 +204,12 @@ pub fn solve(
         confidence: texture.confidence,
         pictures,
     })
+}
+
+/// From where the photographs were taken, with their names.
+fn cameras(views: &[View]) -> Vec<(String, Camera)> {
+    let camera = |view: &View| (view.name.clone(), view.camera.clone());
+    views.iter().map(camera).collect()
 }
 
 fn rounded(mut pixels: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
@@ -365,6 +371,38 @@ fn name_lamps(grid: &HemisphereGrid, found: &Estimate) -> Vec<SolutionLamp> {
             nodes: lamp.nodes,
         })
         .collect()
+}
+
+/// What was not done, stages with the reason.
+fn skipped(found: &Estimate, corrections: &[Correction]) -> Skipped {
+    let brdf = found.brdf;
+    let stages = [
+        (
+            corrections.iter().any(Correction::turns),
+            "looking again with cameras turned: outlines fit, or are taken as stated",
+        ),
+        (
+            corrections.iter().any(|c| c.exposure != 1.0),
+            "solving again with exposures evened out: the views agree, or are taken as stated",
+        ),
+        (
+            brdf.is_none() || found.refined.is_some(),
+            "refining the surface: as it is, it explains the highlights",
+        ),
+        (
+            brdf.is_some(),
+            "lights and roughness: no specular part was found",
+        ),
+        (
+            brdf.is_none_or(|brdf| brdf.specular_scale().is_some()),
+            "interreflection: the specular model leaves its strength open",
+        ),
+    ];
+    let not_run = stages.into_iter().filter(|(run, _)| !run);
+    Skipped {
+        left_out: found.left_out.clone(),
+        stages: not_run.map(|(_, why)| why.to_owned()).collect(),
+    }
 }
 
 fn summarise(views: &[ViewFit]) -> Fit {

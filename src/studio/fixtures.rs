@@ -8,7 +8,7 @@ use crate::capture::Mesh;
 use crate::estimate::{Brdf, Diagnostics, Method, SpecularModel};
 use crate::hemisphere::HemisphereGrid;
 use crate::relight::{Scene, Shader, ShadingPoint};
-use crate::solution::{Fit, Solution, SolutionLamp, lighting};
+use crate::solution::{Fit, Skipped, Solution, SolutionLamp, lighting};
 use crate::surface::fixtures::bumpy_sphere;
 use crate::surface::{Atlas, Occluder};
 
@@ -89,6 +89,7 @@ pub(crate) fn solution() -> Arc<Solution> {
         ambient,
         diagnostics: Diagnostics::default(),
         fit: Fit::default(),
+        skipped: Skipped::default(),
         timings: Vec::new(),
         convergence: Vec::new(),
         cameras: Vec::new(),

@@ -13,6 +13,7 @@ mod outcome;
 mod plot;
 mod report;
 mod scaling;
+mod skipping;
 mod stability;
 mod trial;
 
@@ -59,9 +60,16 @@ enum Section {
     Scaling,
     /// How often the interval of σ holds the truth.
     Coverage,
+    /// What leaving things out saves and changes.
+    Skipping,
 }
 
-const SECTIONS: [Section; 3] = [Section::Stability, Section::Scaling, Section::Coverage];
+const SECTIONS: [Section; 4] = [
+    Section::Stability,
+    Section::Coverage,
+    Section::Scaling,
+    Section::Skipping,
+];
 
 impl Section {
     fn name(self) -> &'static str {
@@ -69,6 +77,7 @@ impl Section {
             Self::Stability => "stability",
             Self::Scaling => "scaling",
             Self::Coverage => "coverage",
+            Self::Skipping => "skipping",
         }
     }
 
@@ -77,12 +86,13 @@ impl Section {
             Self::Stability => stability::groups(plan.size),
             Self::Scaling => scaling::groups(plan.most_megapixels),
             Self::Coverage => coverage::groups(plan.seeds),
+            Self::Skipping => skipping::groups(),
         }
     }
 
     /// Whether seconds are of interest, so that one solve has the machine for itself.
     fn is_timed(self) -> bool {
-        self == Self::Scaling
+        matches!(self, Self::Scaling | Self::Skipping)
     }
 }
 
@@ -153,8 +163,11 @@ fn wanted(plan: &Plan) -> Result<Vec<(Section, Vec<Group>)>, StudyError> {
         for (section, groups) in &mut all {
             groups.retain(|group| names(*section, group).iter().any(|n| plan.only.contains(n)));
         }
-        all.retain(|(_, groups)| !groups.is_empty());
     }
+    for (_, groups) in &mut all {
+        groups.retain(|group| !group.cases.is_empty());
+    }
+    all.retain(|(_, groups)| !groups.is_empty());
     Ok(all)
 }
 

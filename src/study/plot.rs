@@ -48,7 +48,7 @@ pub(super) fn plots(
                 ),
             ]
         }
-        Section::Coverage => Vec::new(),
+        Section::Coverage | Section::Skipping => Vec::new(),
     };
     plots
         .into_iter()

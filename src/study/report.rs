@@ -9,6 +9,7 @@ use super::outcome::{Found, Outcome, STAGES};
 use super::plot;
 use super::{Plan, SECTIONS, Section, Studied, Study};
 use crate::bench::{cell, field, mebibytes, percent, with_unit};
+use crate::math::median;
 
 /// The report in words.
 pub const ACCURACY: &str = "accuracy.md";
@@ -29,6 +30,11 @@ that the result is not to be trusted, *refused* that it gives none, and why. In 
 const SCALING: &str = "What a solve costs, in seconds, by the program's own clock, with reading and writing. Unless it is swept: the capture of \
 the section on stability, with photographs of 640×480. *Least* is reading and decoding the photographs and adding up their \
 pixels; *× least* is the whole over that.
+";
+
+const SKIPPING: &str = "What a solve leaves out because the capture doesn't need it, done all the same: what that takes and what it changes. \
+× is over the first row of the table, from the same run. σ is compared with that of the first row; its stated 95 % interval says \
+by how much it may differ.
 ";
 
 const COVERAGE: &str = "How often the stated 95 % interval of σ holds the truth, on captures of a torus that differ in roughness (0.1 to 0.25), lamps \
@@ -78,6 +84,7 @@ fn heading(section: Section) -> &'static str {
         Section::Stability => "## Stability",
         Section::Scaling => "## Scaling",
         Section::Coverage => "## Coverage",
+        Section::Skipping => "## Skipping",
     }
 }
 
@@ -137,6 +144,7 @@ fn add_head(text: &mut String, section: Section, studied: &[Studied], plan: &Pla
         Section::Stability => STABILITY.replace("SIZE", &format!("{width}×{height}")),
         Section::Scaling => SCALING.to_owned(),
         Section::Coverage => COVERAGE.to_owned(),
+        Section::Skipping => SKIPPING.to_owned(),
     };
     let _ = write!(text, "\n{}\n\n{words}", heading(section));
     if section == Section::Stability {
@@ -159,7 +167,7 @@ fn add_tables(text: &mut String, section: Section, studied: &[Studied]) {
         Section::Coverage => {
             text.push_str(
                 "\n| noise, percent | captures | with a result | interval holds σ | of those with a result | doubted | error of σ, \
-                 rms | half the interval, mean |\n| --- | --- | --- | --- | --- | --- | --- | --- |\n",
+                 median | half the interval, median |\n| --- | --- | --- | --- | --- | --- | --- | --- |\n",
             );
             for group in studied {
                 add_coverage(text, group);
@@ -177,11 +185,22 @@ fn add_tables(text: &mut String, section: Section, studied: &[Studied]) {
                 add_group(text, group, &head, scaling_row);
             }
         }
+        Section::Skipping => {
+            for group in studied {
+                let head = "all | estimate | × all | × estimate | σ | half its interval | σ less the first | memory";
+                add_group(text, group, head, skipping_row);
+            }
+        }
     }
 }
 
-/// A table of a group, a row a case.
-fn add_group(text: &mut String, studied: &Studied, head: &str, row: fn(&Outcome) -> Vec<String>) {
+/// A table of a group, a row a case; `row` is given what came of a case and of the first one.
+fn add_group(
+    text: &mut String,
+    studied: &Studied,
+    head: &str,
+    row: fn(&Outcome, &Outcome) -> Vec<String>,
+) {
     let group = &studied.group;
     let columns = 1 + head.split(" | ").count();
     let _ = writeln!(
@@ -192,11 +211,16 @@ fn add_group(text: &mut String, studied: &Studied, head: &str, row: fn(&Outcome)
         " --- |".repeat(columns)
     );
     for (case, outcome) in group.cases.iter().zip(&studied.outcomes) {
-        let _ = writeln!(text, "| {} | {} |", case.label, row(outcome).join(" | "));
+        let _ = writeln!(
+            text,
+            "| {} | {} |",
+            case.label,
+            row(outcome, &studied.outcomes[0]).join(" | ")
+        );
     }
 }
 
-fn stability_row(outcome: &Outcome) -> Vec<String> {
+fn stability_row(outcome: &Outcome, _: &Outcome) -> Vec<String> {
     let found = outcome.found();
     let of = |value: &dyn Fn(&Found) -> Option<f64>, decimals, unit| {
         with_unit(cell(found.and_then(value), decimals), unit)
@@ -222,7 +246,7 @@ fn stability_row(outcome: &Outcome) -> Vec<String> {
     ]
 }
 
-fn scaling_row(outcome: &Outcome) -> Vec<String> {
+fn scaling_row(outcome: &Outcome, _: &Outcome) -> Vec<String> {
     let found = outcome.found();
     let of = |value: &dyn Fn(&Found) -> Option<f64>, decimals, unit| {
         with_unit(cell(found.and_then(value), decimals), unit)
@@ -235,19 +259,39 @@ fn scaling_row(outcome: &Outcome) -> Vec<String> {
     cells
 }
 
+fn skipping_row(outcome: &Outcome, first: &Outcome) -> Vec<String> {
+    let (found, first) = (outcome.found(), first.found());
+    let estimate = |f: &Found| {
+        let at = STAGES.iter().position(|stage| *stage == "estimate")?;
+        f.cost.stages[at]
+    };
+    let of = |value: &dyn Fn(&Found) -> Option<f64>, decimals, unit| {
+        with_unit(cell(found.and_then(value), decimals), unit)
+    };
+    vec![
+        of(&|f| Some(f.cost.total), 2, ""),
+        of(&estimate, 2, ""),
+        of(&|f| Some(f.cost.total / first?.cost.total), 2, ""),
+        of(&|f| Some(estimate(f)? / estimate(first?)?), 2, ""),
+        of(&|f| Some(f.sigma), 5, ""),
+        of(&|f| Some(50.0 * (f.interval?[1] - f.interval?[0])), 3, " %"),
+        of(&|f| Some(100.0 * (f.sigma / first?.sigma - 1.0)), 4, " %"),
+        of(&|f| mebibytes(f.cost.peak_bytes), 0, " MiB"),
+    ]
+}
+
 fn add_coverage(text: &mut String, studied: &Studied) {
     let found: Vec<&Found> = studied.outcomes.iter().filter_map(Outcome::found).collect();
     let holds = found.iter().filter(|f| f.covers()).count();
     let doubted = found.iter().filter(|f| f.doubt.is_some()).count();
-    let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len().max(1) as f64;
-    let squares = found.iter().filter_map(|f| Some(f.errors.sigma?.powi(2)));
+    let errors = found.iter().filter_map(|f| Some(f.errors.sigma?.abs()));
     let widths = found.iter().filter_map(|f| {
         let [low, high] = f.interval?;
         Some(0.5 * (high - low))
     });
     let _ = writeln!(
         text,
-        "| {} | {} | {} | {holds} | {} | {doubted} | {:.2} % | {:.2} % |",
+        "| {} | {} | {} | {holds} | {} | {doubted} | {} | {} |",
         studied.group.name.trim_start_matches("noise_"),
         studied.outcomes.len(),
         found.len(),
@@ -258,8 +302,14 @@ fn add_coverage(text: &mut String, studied: &Studied) {
             ),
             " %"
         ),
-        100.0 * mean(squares.collect()).sqrt(),
-        100.0 * mean(widths.collect()),
+        with_unit(
+            cell(percent(median(&mut errors.collect::<Vec<_>>())), 3),
+            " %"
+        ),
+        with_unit(
+            cell(percent(median(&mut widths.collect::<Vec<_>>())), 3),
+            " %"
+        ),
     );
 }
 

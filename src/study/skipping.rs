@@ -1,0 +1,55 @@
+//! What leaving things out saves, and what it changes: each shortcut avoided in turn, on one capture.
+
+use super::case::{Case, Group};
+use super::stability;
+use crate::estimate::Shortcut;
+use crate::synth::{Material, Object, Recipe};
+
+/// Width and height of the photographs.
+const SIZE: [u32; 2] = [640, 480];
+/// Frequency at which all nodes can be unknowns at once.
+const DENSE: &str = "16";
+
+/// A group for each capture; the first case of each takes all shortcuts.
+pub(super) fn groups() -> Vec<Group> {
+    let paper = stability::base(SIZE);
+    let mut plastic = paper.clone();
+    plastic.object = Object::Bowl;
+    plastic.material = Material::microfacet(0.1, 1.5);
+    plastic.interreflection = true;
+    let mut small = paper.clone();
+    small.views.size = [320, 240];
+    let others = |shortcut: &Shortcut| *shortcut != Shortcut::DarkCells;
+    let others: Vec<Shortcut> = Shortcut::ALL.into_iter().filter(others).collect();
+    vec![
+        group("figurine", &paper, &others, &[]),
+        group("bowl", &plastic, &others, &[]),
+        group(
+            "few_nodes",
+            &small,
+            &[Shortcut::DarkCells],
+            &["--frequency", DENSE],
+        ),
+    ]
+}
+
+/// All shortcuts taken, and each of some avoided; `options` are for all.
+fn group(name: &'static str, recipe: &Recipe, avoided: &[Shortcut], options: &[&str]) -> Group {
+    let case = |label: &str, more: &[&str]| Case {
+        label: label.to_owned(),
+        value: None,
+        recipe: recipe.clone(),
+        options: options.iter().chain(more).map(|&o| o.to_owned()).collect(),
+    };
+    let mut cases = vec![case("nothing", &[])];
+    cases.extend(
+        avoided
+            .iter()
+            .map(|s| case(s.name(), &["--do-all", s.name()])),
+    );
+    Group {
+        name,
+        swept: "done all the same",
+        cases,
+    }
+}
