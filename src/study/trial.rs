@@ -107,7 +107,10 @@ impl Workshop<'_> {
             End::Stopped => return Err(StudyError::Stopped),
         };
         if !status.success() {
-            let said = stderr.trim().trim_start_matches("rekindle: ").to_owned();
+            // Files are named as in the capture, wherever that was made.
+            let folder = format!("{}/", capture.display());
+            let said = stderr.trim().trim_start_matches("rekindle: ");
+            let said = said.replace(&folder, "");
             return Ok(if status.code() == Some(2) {
                 Outcome::Refused(said)
             } else {
