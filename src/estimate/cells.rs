@@ -103,6 +103,20 @@ impl Pyramid {
         (self.levels.len() - 1) as u8
     }
 
+    /// Cells of a level within an angle of a direction, radians.
+    pub fn within(
+        &self,
+        level: u8,
+        direction: Vec3,
+        angle: f32,
+    ) -> impl Iterator<Item = Cell> + '_ {
+        let least = angle.cos();
+        let directions = &self.levels[level as usize].grid.directions;
+        (0..directions.len() as u32)
+            .filter(move |&node| directions[node as usize].dot(direction) > least)
+            .map(move |node| Cell { level, node })
+    }
+
     /// All cells of the coarsest level.
     pub fn roots(&self) -> Vec<Cell> {
         (0..self.levels[0].grid.directions.len() as u32)

@@ -20,6 +20,7 @@ use super::model::{Brdf, SpecularModel};
 use super::observations::{Candidate, Observations, Row, Sampling, Seen};
 use super::observer::{Interim, Iteration, Observer, Stopped, go_on};
 use super::shortcuts::{Shortcut, Shortcuts};
+use super::spread::even_out;
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
 use super::support::drop_unsupported;
 use super::visibility::cell_visibility;
@@ -269,6 +270,7 @@ impl Solver<'_> {
             }
         };
         let error = state.settle_sigma(&step, EXACT);
+        let state = even_out(self, state, &all);
         self.report(&state, watch)?;
         Ok(self.fit(&state, error))
     }
@@ -442,7 +444,7 @@ impl Solver<'_> {
     }
 
     /// A design that knows which points each cell reaches.
-    fn shadowed_design<'s>(
+    pub fn shadowed_design<'s>(
         &'s self,
         observations: &'s Observations,
         cells: &[Cell],

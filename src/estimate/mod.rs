@@ -17,6 +17,7 @@ pub mod observations;
 mod observer;
 mod relief;
 mod shortcuts;
+mod spread;
 mod state;
 mod support;
 mod total_variation;

@@ -181,8 +181,29 @@ impl<'a> State<'a> {
         }
     }
 
+    /// [`State::solve_lights`] with a further ridge on some of the cells, as a share of the Gram matrix's mean diagonal.
+    pub fn solve_lights_evenly(
+        &mut self,
+        even: impl Fn(&Cell) -> bool,
+        ridge: f64,
+        precision: Precision,
+    ) {
+        self.candidates = (0..self.cells.len()).collect();
+        let ridges: Vec<f64> = self
+            .cells
+            .iter()
+            .map(|c| if even(c) { ridge } else { 0.0 })
+            .collect();
+        self.solve_with_ridge(precision, |k| ridges[k]);
+    }
+
     /// Minimises over the lights of the candidates; the other cells are dark.
     fn solve_candidates(&mut self, precision: Precision) {
+        self.solve_with_ridge(precision, |_| 0.0);
+    }
+
+    /// [`State::solve_candidates`] with a further ridge for each cell.
+    fn solve_with_ridge(&mut self, precision: Precision, further: impl Fn(usize) -> f64) {
         let restricted;
         let design = if self.candidates.len() == self.cells.len() {
             &self.design
@@ -199,7 +220,8 @@ impl<'a> State<'a> {
         let mean = (0..n).map(|i| gram[(i, i)]).sum::<f64>() / n.max(1) as f64;
         for i in 0..n {
             // A cell that no row sees must stay dark, not singular.
-            gram[(i, i)] += precision.ridge * mean + f64::MIN_POSITIVE;
+            let ridge = precision.ridge + further(self.candidates[i]);
+            gram[(i, i)] += ridge * mean + f64::MIN_POSITIVE;
         }
         let params = NnlsParams {
             tolerance: precision.tolerance,
@@ -443,7 +465,7 @@ impl<'a> State<'a> {
     }
 
     /// Σ w r² over rows and channels.
-    fn squares(&self) -> f64 {
+    pub fn squares(&self) -> f64 {
         self.weights
             .iter()
             .zip(&self.residuals.values)
@@ -452,7 +474,7 @@ impl<'a> State<'a> {
     }
 
     /// Lit cells, counted once per channel that is its own.
-    fn lit_unknowns(&self) -> f64 {
+    pub fn lit_unknowns(&self) -> f64 {
         let lit = self.radiance.iter().flatten().filter(|&&v| v > 0.0).count();
         let same = if self.design.observations.gray { 3 } else { 1 };
         (lit / same) as f64

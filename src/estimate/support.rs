@@ -23,7 +23,7 @@ pub fn drop_unsupported(state: &mut State<'_>, precision: Precision) -> bool {
     };
     let total = flux(&state.lit());
     let mut dropped = vec![false; state.cells.len()];
-    for patch in patches(state) {
+    for patch in patches(state, state.brdf.sigma) {
         if flux(&patch) < MOST_SHARE * total && support(state, &patch) < LEAST_SUPPORT {
             for k in patch {
                 dropped[k] = true;
@@ -40,9 +40,8 @@ pub fn drop_unsupported(state: &mut State<'_>, precision: Precision) -> bool {
 }
 
 /// Lit cells, those together that lie beside each other or so near that their lobes can hardly be told apart.
-fn patches(state: &State<'_>) -> Vec<Vec<usize>> {
+pub fn patches(state: &State<'_>, width: f32) -> Vec<Vec<usize>> {
     let directions = &state.design.geometry.directions;
-    let width = state.brdf.sigma;
     let together = |i: usize, j: usize| {
         state.is_beside(i, j) || directions[i].distance_squared(directions[j]) < width * width
     };

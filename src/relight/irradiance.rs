@@ -155,7 +155,9 @@ impl Tile<'_> {
     fn seen(&self, group: usize) -> Vec<Seen> {
         let [width, height] = self.size;
         let mut seen = vec![Seen::Unknown; self.points.len()];
+        let smooth = !self.shader.is_sharp(group);
         for (stride, max_step) in STRIDES {
+            let max_step = if smooth { 1.0 } else { max_step };
             for y in (0..height).step_by(stride) {
                 for x in (0..width).step_by(stride) {
                     let i = y * width + x;
@@ -297,17 +299,16 @@ fn triangle_shares(scene: &Scene, atlas: &Atlas, shader: &Shader) -> Vec<Option<
             tells(t).then(|| {
                 let triangle = mesh.triangles[t];
                 let at_corners = |g: usize| triangle.map(|v| corners[v as usize][g]);
-                if texels[t] <= TINY_TRIANGLE {
-                    return (0..groups)
-                        .map(|g| Some(linear_alone(at_corners(g))))
-                        .collect();
-                }
                 let seen = |group: usize, at: Vec2| {
                     shader.seen_share(&ShadingPoint::on(mesh, t as u32, at), group)
                 };
                 let centroid = Vec2::splat(1.0 / 3.0);
                 (0..groups)
                     .map(|g| {
+                        let smooth = !shader.is_sharp(g) && texels[t] <= SMALL_TRIANGLE;
+                        if smooth || texels[t] <= TINY_TRIANGLE {
+                            return Some(linear_alone(at_corners(g)));
+                        }
                         let same = triangle.map(|v| plain[v as usize * groups + g]);
                         let agreed = same[0].filter(|_| same[1] == same[0] && same[2] == same[0]);
                         if texels[t] <= SMALL_TRIANGLE {

@@ -11,6 +11,7 @@ mod interreflection;
 mod irradiance;
 mod lighting;
 mod measure;
+mod patches;
 mod reflection;
 mod render;
 mod samples;

@@ -16,6 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use glam::{Mat2, Vec2, Vec3};
 
 use super::lighting::{LampNodes, LightNode, Lighting};
+use super::patches::{self, patches};
 use crate::capture::Mesh;
 use crate::estimate::Brdf;
 use crate::surface::Occluder;
@@ -36,8 +37,10 @@ const SHARP_REACH: f32 = 0.12;
 const MANY_NODES: usize = 24;
 /// … this many.
 const SCOUTS: usize = 12;
-/// Rays per patch of an environment.
+/// Rays per patch of an environment …
 const SOFT_RAYS: usize = 4;
+/// … and per patch of a wide lamp, of which there are many beside each other.
+const PATCH_RAYS: usize = 1;
 /// A lobe of roughness σ does not resolve a lamp of an angular radius below this part of σ |l + v|: the half vector turns
 /// by the radius over |l + v|.
 const UNRESOLVED: f32 = 0.6;
@@ -154,7 +157,7 @@ pub struct Shader<'a> {
 }
 
 impl Group {
-    fn new(lamp: &LampNodes, centre: Vec3, soft: bool) -> Option<Self> {
+    fn new(lamp: &LampNodes, centre: Vec3, shadow: Shadow) -> Option<Self> {
         let lit: Vec<_> = lamp
             .nodes
             .iter()
@@ -171,19 +174,23 @@ impl Group {
                 flux: n.flux(),
             })
             .collect();
-        let reach = lit
-            .iter()
-            .map(|n| n.direction.angle_between(lamp.direction))
-            .fold(0.0, f32::max);
+        let reach = patches::reach(lamp);
         let directions: Vec<Vec3> = lit.iter().map(|n| n.direction).collect();
-        let probes = if soft {
-            let count = SOFT_RAYS.min(nodes.len());
-            (0..count).map(|i| i * nodes.len() / count).collect()
-        } else {
-            let mut probes = extremal(&directions, lamp.direction);
-            probes.sort_unstable();
-            probes.dedup();
-            probes
+        let soft = matches!(shadow, Shadow::Smooth { .. });
+        let probes = match shadow {
+            Shadow::Smooth { rays: 1 } => {
+                innermost(&directions, lamp.direction).into_iter().collect()
+            }
+            Shadow::Smooth { rays } => {
+                let count = rays.min(nodes.len());
+                (0..count).map(|i| i * nodes.len() / count).collect()
+            }
+            Shadow::Edged => {
+                let mut probes = extremal(&directions, lamp.direction);
+                probes.sort_unstable();
+                probes.dedup();
+                probes
+            }
         };
         let (scouts, among) = if soft || directions.len() < MANY_NODES {
             (Vec::new(), Vec::new())
@@ -196,7 +203,7 @@ impl Group {
                 *m += n.direction * n.flux()[channel];
             }
         }
-        let few = if soft || nodes.len() < MANY_NODES {
+        let few = if nodes.len() < MANY_NODES {
             nodes.clone()
         } else {
             stand_ins(&lit, lamp.direction)
@@ -276,6 +283,15 @@ impl Group {
     }
 }
 
+/// What the edge of a group's shadow is like.
+#[derive(Clone, Copy)]
+enum Shadow {
+    /// It has penumbras narrow enough to show.
+    Edged,
+    /// The seen part varies smoothly over the surface; so many rays tell it.
+    Smooth { rays: usize },
+}
+
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Horizon {
     Above,
@@ -295,8 +311,14 @@ fn extremal(directions: &[Vec3], axis: Vec3) -> Vec<usize> {
             furthest(&|d| d.dot(tangent * cos + bitangent * sin))
         })
         .collect();
-    probes.extend(furthest(&|d| d.dot(axis)));
+    probes.extend(innermost(directions, axis));
     probes
+}
+
+/// The node nearest to the axis.
+fn innermost(directions: &[Vec3], axis: Vec3) -> Option<usize> {
+    let towards = |k: usize| directions[k].dot(axis);
+    (0..directions.len()).max_by(|&a, &b| towards(a).total_cmp(&towards(b)))
 }
 
 /// Nodes spread as far apart as they can be, the next always furthest from those before, and for every node the three
@@ -331,15 +353,21 @@ fn scouts(directions: &[Vec3]) -> (Vec<usize>, Vec<[u8; 3]>) {
 impl<'a> Shader<'a> {
     /// Prepares a lighting.
     pub fn new(occluder: &'a Occluder, brdf: Option<Brdf>, lighting: &Lighting) -> Self {
-        let mut groups: Vec<Group> = lighting
-            .lamps
-            .iter()
-            .filter_map(|lamp| Group::new(lamp, lighting.centre, false))
-            .collect();
+        let mut groups = Vec::new();
+        for lamp in &lighting.lamps {
+            let patches = patches(lamp);
+            let (parts, shadow) = if patches.is_empty() {
+                (std::slice::from_ref(lamp), Shadow::Edged)
+            } else {
+                (&patches[..], Shadow::Smooth { rays: PATCH_RAYS })
+            };
+            let parts = parts.iter();
+            groups.extend(parts.filter_map(|part| Group::new(part, lighting.centre, shadow)));
+        }
         // Strays have no extent in common: each is a lamp of its own.
         groups.extend(lighting.remainder.iter().filter_map(|node| {
             let lamp = LampNodes::new(vec![*node], lighting.radius)?;
-            Group::new(&lamp, lighting.centre, false)
+            Group::new(&lamp, lighting.centre, Shadow::Edged)
         }));
         let total: f32 = lighting
             .environment
@@ -348,11 +376,13 @@ impl<'a> Shader<'a> {
             .map(|l| l.flux().element_sum())
             .sum();
         groups.extend(lighting.environment.iter().filter_map(|patch| {
-            let mut group = Group::new(patch, lighting.centre, true)?;
-            if patch.flux().element_sum() > SHARP_SHARE * total && group.reach < SHARP_REACH {
-                group = Group::new(patch, lighting.centre, false)?;
-            }
-            Some(group)
+            let is_bright = patch.flux().element_sum() > SHARP_SHARE * total;
+            let shadow = if is_bright && patches::reach(patch) < SHARP_REACH {
+                Shadow::Edged
+            } else {
+                Shadow::Smooth { rays: SOFT_RAYS }
+            };
+            Group::new(patch, lighting.centre, shadow)
         }));
         Self {
             occluder,

@@ -217,7 +217,7 @@ fn work(shared: &Shared) {
 fn bake_lamp(surface: &Surface, order: &Order) -> Baked {
     let shader = Shader::new(&surface.occluder, surface.solution.brdf, &order.shape);
     let direct = texel_irradiance(&surface.scene(), &surface.light_atlas, &shader);
-    let visibility = if shader.groups() == 1 {
+    let visibility = if shader.groups() > 0 {
         seen_part(surface, &shader, &direct)
     } else {
         vec![0; surface.light_atlas.len()]
@@ -363,14 +363,13 @@ fn interpolated(surface: &Surface, at_vertices: &[Vec3]) -> Vec<[f16; 4]> {
 /// Part of a lamp's irradiance that arrives, per texel, of what would if nothing were in the way.
 fn seen_part(surface: &Surface, shader: &Shader, direct: &[Vec3]) -> Vec<u8> {
     let atlas = &surface.light_atlas;
+    let all = vec![Visibility::Whole; shader.groups()];
     let parts: Vec<f32> = atlas
         .texels
         .par_iter()
         .map(|texel| {
             let point = ShadingPoint::on(&surface.solution.mesh, texel.triangle, texel.barycentric);
-            let whole = shader
-                .irradiance(&point, &[Visibility::Whole])
-                .element_sum();
+            let whole = shader.irradiance(&point, &all).element_sum();
             let arrives = direct[texel.index as usize].element_sum();
             if whole > 0.0 { arrives / whole } else { 0.0 }
         })

@@ -1,0 +1,222 @@
+//! Lights wider than the lobe are given the evenest shape that explains the photographs as well.
+//!
+//! Non-negative least squares puts a wide light on spikes a lobe's width apart, which a person would take for so many
+//! lamps. Where lit nodes lie in a group that is wider than what one lobe can hide, the light of the group is sought once
+//! more on all cells in and between them, with a ridge: of all lights that leave nearly the same residuals, that of the
+//! least Σ L² is the evenest. Lamps that really lie apart can't be filled up without leaving more, and stay as they are.
+
+use std::collections::BTreeSet;
+
+use glam::Vec3;
+
+use super::cells::Cell;
+use super::fast::Solver;
+use super::observations::Observations;
+use super::state::{EXACT, State};
+use super::support::patches;
+use crate::hemisphere::{Lamp, find_lamps};
+
+/// Patches of lit nodes that are no further apart than this many standard deviations of the lobe, seen as a light, may be
+/// parts of one light …
+const LINK: f32 = 1.75;
+/// … if neither has more than this many times the flux of the other.
+const ALIKE: f32 = 10.0;
+/// A light with a radius below this many of them is not wide.
+const WIDE: f32 = 0.75;
+/// Its cells reach so many of them beyond the lit nodes.
+const REACH: f32 = 1.0;
+/// A light with less than this share of the flux is not worth it.
+const LEAST_SHARE: f32 = 0.01;
+/// The ridge, as a share of the Gram matrix's mean diagonal.
+const RIDGE: f64 = 0.1;
+/// The rows determine a light's second moments: where evening it out changes its radius by more than this part, it is no
+/// even light. Of wide lights it changes by 1 to 5 %, of two lamps 10° apart by 6 to 16 %.
+const SAME_RADIUS: f32 = 0.055;
+/// Of the noise's variance, how much the squared residuals may rise for every unknown that the spikes had.
+const MOST_RISE: f64 = 60.0;
+
+/// Evens out every wide light for which that explains the photographs as well.
+pub fn even_out<'s>(
+    solver: &'s Solver<'_>,
+    mut state: State<'s>,
+    observations: &'s Observations,
+) -> State<'s> {
+    let mut wide = BTreeSet::new();
+    for group in wide_groups(&state) {
+        let (even, region) = match evened(solver, &state, observations, &group, &wide) {
+            Some(found) => found,
+            None => continue,
+        };
+        state = even;
+        wide.extend(region);
+    }
+    state
+}
+
+/// The fit with the wide lights among a group's evened out, and their cells; `None` where none is wide. `before` holds the
+/// cells of wide lights that have been evened out already.
+fn evened<'s>(
+    solver: &'s Solver<'_>,
+    state: &State<'s>,
+    observations: &'s Observations,
+    group: &BTreeSet<Cell>,
+    before: &BTreeSet<Cell>,
+) -> Option<(State<'s>, BTreeSet<Cell>)> {
+    let mut region = around(solver, state, group)?;
+    let solved = |replaced: &BTreeSet<Cell>, region: &BTreeSet<Cell>| {
+        let even: BTreeSet<Cell> = region.union(before).copied().collect();
+        solved_evenly(solver, state, observations, replaced, &even)
+    };
+    let mut even = solved(group, &region);
+    let lights = find_lamps(solver.grid, &nodes(solver, &even, &region));
+    let spikes = nodes(solver, state, group);
+    let wide: Vec<&Lamp> = lights
+        .iter()
+        .filter(|light| is_wide(solver, state, light, &spikes))
+        .collect();
+    if wide.is_empty() {
+        return None;
+    }
+    let mut replaced = group.clone();
+    if wide.len() < lights.len() {
+        let level = solver.pyramid.finest();
+        let cell = |&node: &u32| solver.pyramid.parent(Cell { level, node });
+        region = wide.iter().flat_map(|l| &l.nodes).map(cell).collect();
+        replaced.retain(|&c| region.contains(&solver.pyramid.parent(c)));
+        even = solved(&replaced, &region);
+    }
+    let variance = state.squares() / (3.0 * state.weights.len() as f64);
+    let unknowns = state.restricted(|c| replaced.contains(c)).lit_unknowns();
+    let most = MOST_RISE * variance * unknowns;
+    (even.squares() - state.squares() <= most).then_some((even, region))
+}
+
+/// Whether a light of the evened fit is wider than a lobe, and no wider than the spikes in its place.
+fn is_wide(solver: &Solver<'_>, state: &State<'_>, light: &Lamp, spikes: &[[f32; 3]]) -> bool {
+    let own = light.nodes.iter().copied();
+    let lit = own.filter(|&n| spikes[n as usize] != [0.0; 3]).collect();
+    let spiky = Lamp::new(solver.grid, spikes, lit).map_or(0.0, |l| l.angular_radius);
+    let change = (light.angular_radius - spiky).abs();
+    spiky > WIDE * width(state) && change < SAME_RADIUS * spiky
+}
+
+/// Standard deviation of the lobe in the light's direction, radians: the half vector turns by half the light's angle.
+fn width(state: &State<'_>) -> f32 {
+    2.0 * state.brdf.sigma
+}
+
+/// Radiance on the nodes by some of the cells.
+fn nodes(solver: &Solver<'_>, state: &State<'_>, some: &BTreeSet<Cell>) -> Vec<[f32; 3]> {
+    let some = state.restricted(|c| some.contains(c));
+    solver.pyramid.to_nodes(&some.cells, &some.radiance)
+}
+
+/// Cells in and around a group of lit ones; those of lights wider than a lobe need not be as small as nodes.
+fn around(
+    solver: &Solver<'_>,
+    state: &State<'_>,
+    group: &BTreeSet<Cell>,
+) -> Option<BTreeSet<Cell>> {
+    let level = solver.pyramid.finest().checked_sub(1)?;
+    let reach = REACH * width(state);
+    let cells: Vec<Cell> = group.iter().copied().collect();
+    let directions = solver.pyramid.geometry(&cells).directions;
+    let within = |&d: &Vec3| solver.pyramid.within(level, d, reach);
+    Some(directions.iter().flat_map(within).collect())
+}
+
+/// The fit with the ridge on the cells of `even`, which take the place of the `replaced` ones.
+fn solved_evenly<'s>(
+    solver: &'s Solver<'_>,
+    state: &State<'s>,
+    observations: &'s Observations,
+    replaced: &BTreeSet<Cell>,
+    even: &BTreeSet<Cell>,
+) -> State<'s> {
+    let lit = state.lit().into_iter().map(|k| state.cells[k]);
+    let mut cells: BTreeSet<Cell> = lit.filter(|c| !replaced.contains(c)).collect();
+    cells.extend(even);
+    let cells: Vec<Cell> = cells.into_iter().collect();
+    let design = solver.shadowed_design(observations, &cells, &state.brdf);
+    let mut solved = State::new(design, cells, state.brdf);
+    solved.weights.clone_from(&state.weights);
+    solved.solve_lights_evenly(|c| even.contains(c), RIDGE, EXACT);
+    solved
+}
+
+/// Groups of lit cells that may be one light each, wider than what one lobe hides.
+fn wide_groups(state: &State<'_>) -> Vec<BTreeSet<Cell>> {
+    let width = width(state);
+    let mut left: Vec<Patch> = patches(state, width)
+        .into_iter()
+        .map(|cells| Patch::new(state, cells))
+        .collect();
+    let total: f32 = left.iter().map(|p| p.flux).sum();
+    let mut lights = Vec::new();
+    while let Some(first) = left.pop() {
+        let mut group = vec![first];
+        let mut next = 0;
+        while next < group.len() {
+            let (near, far) = left
+                .into_iter()
+                .partition(|p| p.may_belong_to(&group[next], LINK * width, state));
+            left = far;
+            let near: Vec<Patch> = near;
+            group.extend(near);
+            next += 1;
+        }
+        let light: Vec<usize> = group.into_iter().flat_map(|p| p.cells).collect();
+        let light = Patch::new(state, light);
+        if light.flux > LEAST_SHARE * total && light.radius(state) > WIDE * width {
+            lights.push(light.cells.iter().map(|&k| state.cells[k]).collect());
+        }
+    }
+    lights
+}
+
+/// Some lit cells.
+struct Patch {
+    cells: Vec<usize>,
+    /// Σ L ω over cells and channels.
+    flux: f32,
+}
+
+impl Patch {
+    fn new(state: &State<'_>, cells: Vec<usize>) -> Self {
+        let flux = cells.iter().map(|&k| flux(state, k)).sum();
+        Self { cells, flux }
+    }
+
+    /// Whether some cell is no further than `reach`, radians, from one of the other's.
+    fn may_belong_to(&self, other: &Self, reach: f32, state: &State<'_>) -> bool {
+        let directions = &state.design.geometry.directions;
+        let near =
+            |&a: &usize, &b: &usize| directions[a].distance_squared(directions[b]) < reach * reach;
+        self.flux.max(other.flux) < ALIKE * self.flux.min(other.flux)
+            && self
+                .cells
+                .iter()
+                .any(|a| other.cells.iter().any(|b| near(a, b)))
+    }
+
+    /// Radius of the uniform disc with the same second moments, radians.
+    fn radius(&self, state: &State<'_>) -> f32 {
+        let directions = &state.design.geometry.directions;
+        let towards: Vec3 = self
+            .cells
+            .iter()
+            .map(|&k| flux(state, k) * directions[k])
+            .sum();
+        let centre = towards.normalize_or_zero();
+        let squares: f32 = self
+            .cells
+            .iter()
+            .map(|&k| flux(state, k) * directions[k].angle_between(centre).powi(2))
+            .sum();
+        (2.0 * squares / self.flux.max(f32::MIN_POSITIVE)).sqrt()
+    }
+}
+
+fn flux(state: &State<'_>, cell: usize) -> f32 {
+    state.design.geometry.solid_angles[cell] * state.radiance[cell].iter().sum::<f32>()
+}
