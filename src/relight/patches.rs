@@ -10,8 +10,6 @@ use super::lighting::{LampNodes, LightNode};
 
 /// Lamps of a larger angular radius are wide, radians.
 const WIDE: f32 = 0.15;
-/// Patches are cut until they are no larger than this, radians.
-const PATCH_REACH: f32 = 0.12;
 
 /// Largest angle between a lamp's direction and a node of it that shines, radians.
 pub(super) fn reach(lamp: &LampNodes) -> f32 {
@@ -24,15 +22,15 @@ fn lit(lamp: &LampNodes) -> impl Iterator<Item = &LightNode> {
     lamp.nodes.iter().filter(|n| n.flux() != glam::Vec3::ZERO)
 }
 
-/// The patches of a wide lamp; nothing where it isn't wide.
-pub(super) fn patches(lamp: &LampNodes) -> Vec<LampNodes> {
+/// The patches of a wide lamp, none with a larger [`reach`] than asked for; nothing where the lamp isn't wide.
+pub(super) fn patches(lamp: &LampNodes, largest: f32) -> Vec<LampNodes> {
     if lamp.muted || reach(lamp) <= WIDE {
         return Vec::new();
     }
     let mut cut = Vec::new();
     let mut left: Vec<Cow<'_, LampNodes>> = vec![Cow::Borrowed(lamp)];
     while let Some(patch) = left.pop() {
-        if patch.nodes.len() == 1 || reach(&patch) <= PATCH_REACH {
+        if patch.nodes.len() == 1 || reach(&patch) <= largest {
             cut.push(patch.into_owned());
         } else {
             left.extend(halves(&patch).into_iter().flatten().map(Cow::Owned));
@@ -74,12 +72,12 @@ mod tests {
         let flux = Vec3::new(3.0, 2.0, 1.0);
         let disc =
             |degrees: f32| LampNodes::disc_of(2000, towards, flux, f32::to_radians(degrees), None);
-        assert!(patches(&disc(5.0)).is_empty());
+        assert!(patches(&disc(5.0), 0.12).is_empty());
         let wide = disc(25.0);
-        let cut = patches(&wide);
+        let cut = patches(&wide, 0.12);
         // Discs of that reach would have a thirteenth of its area.
         assert!((13..80).contains(&cut.len()), "{} patches", cut.len());
-        assert!(cut.iter().all(|p| reach(p) <= PATCH_REACH));
+        assert!(cut.iter().all(|p| reach(p) <= 0.12));
         let sum: Vec3 = cut.iter().map(LampNodes::flux).sum();
         assert!((sum - flux).length() < 1e-4, "{sum}");
         let nodes: usize = cut.iter().map(|p| p.nodes.len()).sum();
@@ -90,6 +88,6 @@ mod tests {
     fn a_muted_lamp_has_none() {
         let mut lamp = LampNodes::disc(Vec3::Y, Vec3::ONE, 0.5, None);
         lamp.muted = true;
-        assert!(patches(&lamp).is_empty());
+        assert!(patches(&lamp, 0.1).is_empty());
     }
 }

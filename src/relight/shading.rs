@@ -37,10 +37,8 @@ const SHARP_REACH: f32 = 0.12;
 const MANY_NODES: usize = 24;
 /// … this many.
 const SCOUTS: usize = 12;
-/// Rays per patch of an environment …
+/// Rays per patch of an environment.
 const SOFT_RAYS: usize = 4;
-/// … and per patch of a wide lamp, of which there are many beside each other.
-const PATCH_RAYS: usize = 1;
 /// A lobe of roughness σ does not resolve a lamp of an angular radius below this part of σ |l + v|: the half vector turns
 /// by the radius over |l + v|.
 const UNRESOLVED: f32 = 0.6;
@@ -157,7 +155,7 @@ pub struct Shader<'a> {
 }
 
 impl Group {
-    fn new(lamp: &LampNodes, centre: Vec3, shadow: Shadow) -> Option<Self> {
+    fn new(lamp: &LampNodes, centre: Vec3, role: Role) -> Option<Self> {
         let lit: Vec<_> = lamp
             .nodes
             .iter()
@@ -176,16 +174,14 @@ impl Group {
             .collect();
         let reach = patches::reach(lamp);
         let directions: Vec<Vec3> = lit.iter().map(|n| n.direction).collect();
-        let soft = matches!(shadow, Shadow::Smooth { .. });
-        let probes = match shadow {
-            Shadow::Smooth { rays: 1 } => {
-                innermost(&directions, lamp.direction).into_iter().collect()
-            }
-            Shadow::Smooth { rays } => {
-                let count = rays.min(nodes.len());
+        let soft = role != Role::Lamp;
+        let probes = match role {
+            Role::Patch => innermost(&directions, lamp.direction).into_iter().collect(),
+            Role::Environment => {
+                let count = SOFT_RAYS.min(nodes.len());
                 (0..count).map(|i| i * nodes.len() / count).collect()
             }
-            Shadow::Edged => {
+            Role::Lamp => {
                 let mut probes = extremal(&directions, lamp.direction);
                 probes.sort_unstable();
                 probes.dedup();
@@ -203,7 +199,12 @@ impl Group {
                 *m += n.direction * n.flux()[channel];
             }
         }
-        let few = if nodes.len() < MANY_NODES {
+        let few = if role == Role::Patch {
+            vec![Node {
+                place: place(lamp.direction),
+                flux: lamp.flux(),
+            }]
+        } else if nodes.len() < MANY_NODES {
             nodes.clone()
         } else {
             stand_ins(&lit, lamp.direction)
@@ -255,11 +256,11 @@ impl Group {
         }
     }
 
-    /// The nodes to add up at a point: a few for all where these are seen alike and above the horizon, unless the
-    /// distances between them matter.
+    /// The nodes to add up at a point: a few for all where these are seen alike and, but for patches, above the horizon,
+    /// unless the distances between them matter.
     fn standing_for(&self, point: &ShadingPoint, seen: &Visibility, resolved: bool) -> &[Node] {
-        if resolved || matches!(seen, Visibility::Part(_)) || self.horizon(point) != Horizon::Above
-        {
+        let is_cut = || self.horizon(point) != Horizon::Above;
+        if resolved || matches!(seen, Visibility::Part(_)) || !self.soft && is_cut() {
             &self.nodes
         } else {
             &self.few
@@ -283,13 +284,15 @@ impl Group {
     }
 }
 
-/// What the edge of a group's shadow is like.
-#[derive(Clone, Copy)]
-enum Shadow {
-    /// It has penumbras narrow enough to show.
-    Edged,
-    /// The seen part varies smoothly over the surface; so many rays tell it.
-    Smooth { rays: usize },
+/// What a group of nodes is.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Role {
+    /// A lamp, whose shadows have edges.
+    Lamp,
+    /// A patch of an environment, of which a point sees a fraction that varies smoothly.
+    Environment,
+    /// A patch of a wide lamp, the same, and one of so many beside each other that one ray and one direction do for each.
+    Patch,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -355,19 +358,19 @@ impl<'a> Shader<'a> {
     pub fn new(occluder: &'a Occluder, brdf: Option<Brdf>, lighting: &Lighting) -> Self {
         let mut groups = Vec::new();
         for lamp in &lighting.lamps {
-            let patches = patches(lamp);
-            let (parts, shadow) = if patches.is_empty() {
-                (std::slice::from_ref(lamp), Shadow::Edged)
+            let patches = patches(lamp, patch_reach(brdf));
+            let (parts, role) = if patches.is_empty() {
+                (std::slice::from_ref(lamp), Role::Lamp)
             } else {
-                (&patches[..], Shadow::Smooth { rays: PATCH_RAYS })
+                (&patches[..], Role::Patch)
             };
             let parts = parts.iter();
-            groups.extend(parts.filter_map(|part| Group::new(part, lighting.centre, shadow)));
+            groups.extend(parts.filter_map(|part| Group::new(part, lighting.centre, role)));
         }
         // Strays have no extent in common: each is a lamp of its own.
         groups.extend(lighting.remainder.iter().filter_map(|node| {
             let lamp = LampNodes::new(vec![*node], lighting.radius)?;
-            Group::new(&lamp, lighting.centre, Shadow::Edged)
+            Group::new(&lamp, lighting.centre, Role::Lamp)
         }));
         let total: f32 = lighting
             .environment
@@ -377,12 +380,12 @@ impl<'a> Shader<'a> {
             .sum();
         groups.extend(lighting.environment.iter().filter_map(|patch| {
             let is_bright = patch.flux().element_sum() > SHARP_SHARE * total;
-            let shadow = if is_bright && patches::reach(patch) < SHARP_REACH {
-                Shadow::Edged
+            let role = if is_bright && patches::reach(patch) < SHARP_REACH {
+                Role::Lamp
             } else {
-                Shadow::Smooth { rays: SOFT_RAYS }
+                Role::Environment
             };
-            Group::new(patch, lighting.centre, shadow)
+            Group::new(patch, lighting.centre, role)
         }));
         Self {
             occluder,
@@ -699,6 +702,16 @@ impl<'a> Shader<'a> {
             }
         }
     }
+}
+
+/// How large the patches of a wide lamp may be, radians: so that a lobe does not resolve them except at a grazing angle,
+/// and there are not too many.
+fn patch_reach(brdf: Option<Brdf>) -> f32 {
+    const SMALLEST: f32 = 0.05;
+    const LARGEST: f32 = 0.12;
+    const GRAZING: f32 = 1.5;
+    let unresolved = brdf.map_or(LARGEST, |b| UNRESOLVED * b.sigma * GRAZING);
+    unresolved.clamp(SMALLEST, LARGEST)
 }
 
 /// Seven directions with their fluxes that have the nodes' flux, mean, covariance and, as a uniform ellipse of that

@@ -423,3 +423,36 @@ fn an_estimate_finds_what_was_put_in() {
     assert!(errors.flux.unwrap() < 0.03, "{errors:?}");
     assert!(errors.hemisphere.unwrap() < 0.3, "{errors:?}");
 }
+
+/// The lamps found on a ball under one or two lamps of the given radius, degrees.
+fn lamps_found(count: u32, apart: f32, radius: f32) -> Vec<f32> {
+    let folder = made(|recipe| {
+        recipe.triangles = 20_000;
+        recipe.material = Material::paper(0.08, 0.4);
+        recipe.sensor.noise = 0.003;
+        recipe.views.count = 6;
+        recipe.views.size = [160, 120];
+        let lamps = lamps(recipe);
+        lamps.places = Places::Row(count, apart.to_radians());
+        lamps.angular_radius = radius.to_radians();
+    });
+    let lamps = solved(&folder).lamps;
+    lamps
+        .iter()
+        .map(|l| l.angular_radius.to_degrees())
+        .collect()
+}
+
+#[test]
+fn a_lamp_much_wider_than_the_lobe_is_one_lamp_of_its_width() {
+    let radii = lamps_found(1, 0.0, 25.0);
+    assert_eq!(radii.len(), 1, "{radii:?}");
+    assert!((radii[0] / 25.0 - 1.0).abs() < 0.1, "{radii:?}");
+}
+
+#[test]
+fn two_lamps_nearer_than_the_lobe_is_wide_are_no_wide_lamp() {
+    let radii = lamps_found(2, 12.0, 2.0);
+    assert_eq!(radii.len(), 2, "{radii:?}");
+    assert!(radii.iter().all(|&r| r < 6.0), "{radii:?}");
+}
