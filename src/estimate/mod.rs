@@ -174,6 +174,11 @@ pub fn estimate(
     })
 }
 
+/// Half the 95 % interval of σ in standard errors. Were the model exact and rows independent it would be 1.96; with
+/// photographs' pixels, meshes and interpolation in between, 1.96 held the truth in half of 120 made captures, this in 92.5
+/// to 95 % of them at every noise level from 0.3 to 3 %.
+const HALF_INTERVAL: f32 = 5.5;
+
 /// Rounds in which the lights found and the views' exposures take turns.
 const MOST_ROUNDS: usize = 3;
 
@@ -369,7 +374,7 @@ fn accept(result: &mut Estimate, seen: &Seen<'_>, fit: Fit) {
         return;
     }
     let sigma = fit.brdf.sigma;
-    let half_width = 1.96 * fit.sigma_error;
+    let half_width = HALF_INTERVAL * fit.sigma_error;
     let misfit = diagnose::misfit(&fit);
     let unresolved = diagnose::unresolved(seen, &fit);
     result.diagnostics.well_posed = misfit.is_none() && unresolved.is_none();

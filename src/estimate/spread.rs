@@ -32,9 +32,11 @@ const RIDGE: f64 = 0.1;
 /// The rows determine a light's second moments: where evening it out changes its radius by more than this part, it is no
 /// even light. Of wide lights it changes by 1 to 5 %, of two lamps 10° apart by 6 to 16 %.
 const SAME_RADIUS: f32 = 0.055;
-/// Of the noise's variance, how much the squared residuals may rise for every unknown that the spikes had: by less than 30
-/// where lights are wide, by more than 110 where twelve narrow lamps are taken for a wide one.
-const MOST_RISE: f64 = 60.0;
+/// Spikes lie about a width apart all over a wide light: at least so many of them in the square of a width.
+const FILLED: f32 = 0.35;
+/// Of the noise's variance, how much the squared residuals may rise for every unknown that the spikes had: by up to 90 where
+/// lights are wide, by more than 160 where narrow lamps far apart are taken for a wide one.
+const MOST_RISE: f64 = 120.0;
 
 /// Evens out every wide light for which that explains the photographs as well.
 pub fn even_out<'s>(
@@ -90,13 +92,17 @@ fn evened<'s>(
     (even.squares() - state.squares() <= most).then_some((even, region))
 }
 
-/// Whether a light of the evened fit is wider than a lobe, and no wider than the spikes in its place.
+/// Whether a light of the evened fit is wider than a lobe, no wider than the spikes in its place, and full of these.
 fn is_wide(solver: &Solver<'_>, state: &State<'_>, light: &Lamp, spikes: &[[f32; 3]]) -> bool {
     let own = light.nodes.iter().copied();
     let lit = own.filter(|&n| spikes[n as usize] != [0.0; 3]).collect();
     let spiky = Lamp::new(solver.grid, spikes, lit).map_or(0.0, |l| l.angular_radius);
+    let widths = spiky / width(state);
     let change = (light.angular_radius - spiky).abs();
-    spiky > WIDE * width(state) && change < SAME_RADIUS * spiky
+    let level = solver.pyramid.finest();
+    let inside = |c: &Cell| c.level == level && light.nodes.contains(&c.node);
+    let places = patches(&state.restricted(inside), state.brdf.sigma).len();
+    widths > WIDE && change < SAME_RADIUS * spiky && places as f32 > FILLED * widths * widths
 }
 
 /// Standard deviation of the lobe in the light's direction, radians: the half vector turns by half the light's angle.
