@@ -33,7 +33,7 @@ const RIDGE: f64 = 0.1;
 /// even light. Of wide lights it changes by 1 to 5 %, of two lamps 10° apart by 6 to 16 %.
 const SAME_RADIUS: f32 = 0.055;
 /// Spikes lie about a width apart all over a wide light: at least so many of them in the square of a width.
-const FILLED: f32 = 0.35;
+const FILLED: f32 = 0.6;
 /// Of the noise's variance, how much the squared residuals may rise for every unknown that the spikes had: by up to 90 where
 /// lights are wide, by more than 160 where narrow lamps far apart are taken for a wide one.
 const MOST_RISE: f64 = 120.0;
@@ -95,14 +95,27 @@ fn evened<'s>(
 /// Whether a light of the evened fit is wider than a lobe, no wider than the spikes in its place, and full of these.
 fn is_wide(solver: &Solver<'_>, state: &State<'_>, light: &Lamp, spikes: &[[f32; 3]]) -> bool {
     let own = light.nodes.iter().copied();
-    let lit = own.filter(|&n| spikes[n as usize] != [0.0; 3]).collect();
+    let lit: Vec<u32> = own.filter(|&n| spikes[n as usize] != [0.0; 3]).collect();
+    let apart = apart(solver, &lit, width(state));
     let spiky = Lamp::new(solver.grid, spikes, lit).map_or(0.0, |l| l.angular_radius);
     let widths = spiky / width(state);
     let change = (light.angular_radius - spiky).abs();
-    let level = solver.pyramid.finest();
-    let inside = |c: &Cell| c.level == level && light.nodes.contains(&c.node);
-    let places = patches(&state.restricted(inside), state.brdf.sigma).len();
-    widths > WIDE && change < SAME_RADIUS * spiky && places as f32 > FILLED * widths * widths
+    widths > WIDE && change < SAME_RADIUS * spiky && apart as f32 > FILLED * widths * widths
+}
+
+/// How many of some nodes there are of which none is nearer to another than a distance, counted in their order.
+fn apart(solver: &Solver<'_>, nodes: &[u32], distance: f32) -> usize {
+    let mut taken: Vec<Vec3> = Vec::new();
+    for &node in nodes {
+        let direction = solver.grid.directions[node as usize];
+        if taken
+            .iter()
+            .all(|t| t.distance_squared(direction) > distance * distance)
+        {
+            taken.push(direction);
+        }
+    }
+    taken.len()
 }
 
 /// Standard deviation of the lobe in the light's direction, radians: the half vector turns by half the light's angle.

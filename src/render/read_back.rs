@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
+use std::time::{Duration, Instant};
 
 use half::f16;
 
@@ -22,6 +23,9 @@ pub struct LinearImage {
 const WAITING: u8 = 0;
 const READY: u8 = 1;
 const FAILED: u8 = 2;
+
+/// How long another thread may take to say that a copy has arrived.
+const GRACE: Duration = Duration::from_secs(5);
 
 /// A copy on its way.
 pub(super) struct ReadBack {
@@ -92,14 +96,28 @@ impl ReadBack {
         self.state.load(Ordering::Acquire) != WAITING
     }
 
+    /// Waits until the copy has arrived or failed. Another thread that polls the device may have taken this copy's answer and
+    /// be about to give it, though the device is done.
+    fn settled(&self, gpu: &Gpu) -> Result<u8, RenderError> {
+        let deadline = Instant::now() + GRACE;
+        loop {
+            gpu.wait()?;
+            let state = self.state.load(Ordering::Acquire);
+            if state != WAITING || Instant::now() > deadline {
+                return Ok(state);
+            }
+            std::thread::yield_now();
+        }
+    }
+
     /// Waits for the copy and returns its rows without padding.
     pub(super) fn bytes(self, gpu: &Gpu, texel_bytes: u32) -> Result<Vec<u8>, RenderError> {
-        gpu.wait()?;
+        let state = self.settled(gpu)?;
         let refused = |reason: String| RenderError::Refused {
             what: "reading the picture back".to_owned(),
             reason,
         };
-        if self.state.load(Ordering::Acquire) != READY {
+        if state != READY {
             return Err(refused("the buffer can't be mapped".to_owned()));
         }
         let view = self
