@@ -125,8 +125,13 @@ fn width(state: &State<'_>) -> f32 {
 
 /// Radiance on the nodes by some of the cells.
 fn nodes(solver: &Solver<'_>, state: &State<'_>, some: &BTreeSet<Cell>) -> Vec<[f32; 3]> {
-    let some = state.restricted(|c| some.contains(c));
-    solver.pyramid.to_nodes(&some.cells, &some.radiance)
+    let all = state
+        .cells
+        .iter()
+        .copied()
+        .zip(state.radiance.iter().copied());
+    let (cells, radiance): (Vec<_>, Vec<_>) = all.filter(|(c, _)| some.contains(c)).unzip();
+    solver.pyramid.to_nodes(&cells, &radiance)
 }
 
 /// Cells in and around a group of lit ones; those of lights wider than a lobe need not be as small as nodes.
@@ -200,7 +205,7 @@ struct Patch {
 
 impl Patch {
     fn new(state: &State<'_>, cells: Vec<usize>) -> Self {
-        let flux = cells.iter().map(|&k| flux(state, k)).sum();
+        let flux = cells.iter().map(|&k| state.flux(k)).sum();
         Self { cells, flux }
     }
 
@@ -222,18 +227,14 @@ impl Patch {
         let towards: Vec3 = self
             .cells
             .iter()
-            .map(|&k| flux(state, k) * directions[k])
+            .map(|&k| state.flux(k) * directions[k])
             .sum();
         let centre = towards.normalize_or_zero();
         let squares: f32 = self
             .cells
             .iter()
-            .map(|&k| flux(state, k) * directions[k].angle_between(centre).powi(2))
+            .map(|&k| state.flux(k) * directions[k].angle_between(centre).powi(2))
             .sum();
         (2.0 * squares / self.flux.max(f32::MIN_POSITIVE)).sqrt()
     }
-}
-
-fn flux(state: &State<'_>, cell: usize) -> f32 {
-    state.design.geometry.solid_angles[cell] * state.radiance[cell].iter().sum::<f32>()
 }

@@ -302,6 +302,11 @@ impl<'a> State<'a> {
         }
     }
 
+    /// Σ over channels of a cell's radiance times its solid angle.
+    pub fn flux(&self, cell: usize) -> f32 {
+        self.design.geometry.solid_angles[cell] * self.radiance[cell].iter().sum::<f32>()
+    }
+
     /// Whether two cells lie beside each other.
     pub fn is_beside(&self, one: usize, other: usize) -> bool {
         let geometry = &self.design.geometry;

@@ -15,12 +15,7 @@ const LEAST_SUPPORT: f64 = 5.0;
 
 /// Drops the lights that the data do not ask for and solves for the others; whether there were any.
 pub fn drop_unsupported(state: &mut State<'_>, precision: Precision) -> bool {
-    let flux = |cells: &[usize]| {
-        let of = |&k: &usize| {
-            state.design.geometry.solid_angles[k] * state.radiance[k].iter().sum::<f32>()
-        };
-        cells.iter().map(of).sum::<f32>()
-    };
+    let flux = |cells: &[usize]| cells.iter().map(|&k| state.flux(k)).sum::<f32>();
     let total = flux(&state.lit());
     let mut dropped = vec![false; state.cells.len()];
     for patch in patches(state, state.brdf.sigma) {
@@ -39,7 +34,8 @@ pub fn drop_unsupported(state: &mut State<'_>, precision: Precision) -> bool {
     true
 }
 
-/// Lit cells, those together that lie beside each other or so near that their lobes can hardly be told apart.
+/// Lit cells, those together that lie beside each other or nearer to each other than `width`, radians: within a lobe's
+/// width their lobes can hardly be told apart.
 pub fn patches(state: &State<'_>, width: f32) -> Vec<Vec<usize>> {
     let directions = &state.design.geometry.directions;
     let together = |i: usize, j: usize| {
