@@ -45,7 +45,8 @@ struct Frame {
     ambient: vec3f,
     /// Irradiance unit over radiance unit.
     irradiance_scale: f32,
-    pad: vec2f,
+    /// First row to shade, and the one after the last.
+    rows: vec2u,
     /// Radius of a sphere about the centre that holds the object.
     radius: f32,
     /// Factor of the albedo when it is shown.

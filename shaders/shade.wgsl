@@ -4,7 +4,6 @@
 // with shadow maps.
 
 #import frame.wgsl
-#import fullscreen.wgsl
 #import mirror.wgsl
 #import surface.wgsl
 
@@ -52,6 +51,7 @@ struct ShadowMaps {
 @group(2) @binding(8) var<uniform> shadows: ShadowMaps;
 @group(3) @binding(0) var visible: texture_2d<u32>;
 @group(3) @binding(1) var coverage: texture_2d<f32>;
+@group(3) @binding(2) var picture: texture_storage_2d<rgba16float, write>;
 
 const TAPS: u32 = 12u;
 
@@ -333,9 +333,8 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
 const AROUND: array<vec2i, 9> = array<vec2i, 9>(vec2i(0, 0), vec2i(1, 0), vec2i(-1, 0), vec2i(0, 1), vec2i(0, -1),
     vec2i(1, 1), vec2i(-1, 1), vec2i(1, -1), vec2i(-1, -1));
 
-@fragment
-fn shade_fragment(@builtin(position) at: vec4f) -> @location(0) vec4f {
-    let pixel = vec2i(at.xy);
+/// A pixel of the picture: radiance times coverage, and coverage.
+fn shaded(pixel: vec2i) -> vec4f {
     var seen = textureLoad(visible, pixel, 0).xy;
     var covered = 1.0;
     if ((frame.flags & COVERAGE) != 0u) {
@@ -355,4 +354,12 @@ fn shade_fragment(@builtin(position) at: vec4f) -> @location(0) vec4f {
     }
     let b = unpack2x16unorm(seen.y);
     return vec4f(shade(triangles[seen.x - 1u], vec3f(1.0 - b.x - b.y, b)), 1.0) * covered;
+}
+
+@compute @workgroup_size(8, 8)
+fn shade_pixels(@builtin(global_invocation_id) id: vec3u) {
+    let pixel = vec2u(id.x, id.y + frame.rows.x);
+    if (pixel.x < textureDimensions(visible).x && pixel.y < frame.rows.y) {
+        textureStore(picture, pixel, shaded(vec2i(pixel)));
+    }
 }

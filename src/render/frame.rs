@@ -39,7 +39,7 @@ pub(super) struct Frame {
     pub half_vector: u32,
     pub ambient: [f32; 3],
     pub irradiance_scale: f32,
-    pub pad: [f32; 2],
+    pub rows: [u32; 2],
     pub radius: f32,
     pub shown_albedo: f32,
 }

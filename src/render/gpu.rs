@@ -29,9 +29,13 @@ impl Gpu {
         }));
         let lost = Arc::clone(&failure);
         device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed || !message.is_empty() {
-                keep(&lost, RenderError::DeviceLost { reason: message });
-            }
+            // A destroyed device takes what it is given without an error, and is lost like any other.
+            let reason = if message.is_empty() {
+                format!("{reason:?}").to_lowercase()
+            } else {
+                message
+            };
+            keep(&lost, RenderError::DeviceLost { reason });
         });
         Self {
             device,

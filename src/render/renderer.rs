@@ -636,7 +636,15 @@ impl Renderer {
             &targets.coverage_samples,
             &targets.coverage,
         );
-        self.draw_surface(encoder, &frame, loaded, targets, &targets.moving_view, None);
+        let rows = 0..targets.size[1];
+        self.draw_surface(
+            encoder,
+            &mut frame,
+            loaded,
+            targets,
+            &targets.shade_moving,
+            &rows,
+        );
         Ok(())
     }
 
@@ -644,12 +652,13 @@ impl Renderer {
     fn draw_surface(
         &self,
         encoder: &mut wgpu::CommandEncoder,
-        frame: &Frame,
+        frame: &mut Frame,
         loaded: &Loaded,
         targets: &Targets,
-        target: &wgpu::TextureView,
-        rows: Option<&Range<u32>>,
+        pixels: &wgpu::BindGroup,
+        rows: &Range<u32>,
     ) {
+        frame.rows = [rows.start, rows.end];
         self.visible.set_frame(&self.gpu, frame);
         self.visible.draw(
             encoder,
@@ -662,9 +671,9 @@ impl Renderer {
             &self.visible.frame_group,
             &loaded.buffers.group,
             &loaded.bindings,
-            &targets.pixels,
+            pixels,
         ];
-        self.shade.draw(encoder, groups, target, rows);
+        self.shade.run(encoder, groups, targets.size[0], rows);
     }
 
     /// Adds a frame, or as much of one as takes a moment, to the still picture if it isn't complete.
@@ -689,8 +698,8 @@ impl Renderer {
             frame.window = [window.range.start, window.range.end];
             frame.first_word = window.first_word;
         }
-        let target = &targets.still_frame;
-        self.draw_surface(encoder, &frame, loaded, targets, target, Some(&rows));
+        let pixels = &targets.shade_still;
+        self.draw_surface(encoder, &mut frame, loaded, targets, pixels, &rows);
         let weight = 1.0 / light.frames() as f32;
         let first = self.refined == 0 && rows.start == 0;
         self.accumulate

@@ -1,4 +1,5 @@
-//! The pass that shades what is visible: `shade.wgsl`.
+//! The pass that shades what is visible: `shade.wgsl`. It computes in place of drawing, since devices made for computing
+//! draw with a small part of what they have.
 
 use std::ops::Range;
 
@@ -12,11 +13,14 @@ use super::surface::SurfaceBuffers;
 /// Size of the buffer of all shadow maps.
 pub(super) const SHADOWS_SIZE: u64 = (MAX_SHADOW_MAPS * size_of::<GpuShadowMap>()) as u64;
 
+/// Pixels on a side of what `shade.wgsl` calls a workgroup.
+const GROUP_SIDE: u32 = 8;
+
 /// The pipeline.
 pub(super) struct ShadePass {
     scene_layout: wgpu::BindGroupLayout,
     pixel_layout: wgpu::BindGroupLayout,
-    pipeline: wgpu::RenderPipeline,
+    pipeline: wgpu::ComputePipeline,
     sampler: wgpu::Sampler,
 }
 
@@ -56,11 +60,31 @@ impl ShadePass {
                         ..shader::flat_texture(0, false)
                     },
                     shader::flat_texture(1, false),
+                    wgpu::BindGroupLayoutEntry {
+                        visibility: wgpu::ShaderStages::COMPUTE,
+                        ty: wgpu::BindingType::StorageTexture {
+                            access: wgpu::StorageTextureAccess::WriteOnly,
+                            format: LINEAR,
+                            view_dimension: wgpu::TextureViewDimension::D2,
+                        },
+                        ..shader::flat_texture(2, false)
+                    },
                 ],
             });
             let layouts = [frame_layout, surface_layout, &scene_layout, &pixel_layout];
-            let pipeline =
-                shader::fullscreen(gpu, &module, "shade_fragment", &layouts, LINEAR, None);
+            let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: Some("shade"),
+                bind_group_layouts: &layouts.map(Some),
+                immediate_size: 0,
+            });
+            let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some("shade"),
+                layout: Some(&layout),
+                module: &module,
+                entry_point: Some("shade_pixels"),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                cache: None,
+            });
             let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
                 label: Some("linear"),
                 mag_filter: wgpu::FilterMode::Linear,
@@ -100,12 +124,13 @@ impl ShadePass {
         })
     }
 
-    /// Binds what was found visible and how much of each pixel is covered.
+    /// Binds what was found visible, how much of each pixel is covered, and the picture.
     pub(super) fn bind_pixels(
         &self,
         gpu: &Gpu,
         visible: &wgpu::TextureView,
         coverage: &wgpu::TextureView,
+        picture: &wgpu::TextureView,
     ) -> wgpu::BindGroup {
         gpu.device().create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("pixels"),
@@ -113,32 +138,34 @@ impl ShadePass {
             entries: &[
                 shader::bind_texture(0, visible),
                 shader::bind_texture(1, coverage),
+                shader::bind_texture(2, picture),
             ],
         })
     }
 
-    /// Shades all pixels, or those of some rows. The groups are those of the frame, the surface, the scene and the pixels.
-    pub(super) fn draw(
+    /// Shades the frame's rows of a picture this wide. The groups are those of the frame, the surface, the scene and the
+    /// pixels.
+    pub(super) fn run(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         groups: [&wgpu::BindGroup; 4],
-        target: &wgpu::TextureView,
-        rows: Option<&Range<u32>>,
+        width: u32,
+        rows: &Range<u32>,
     ) {
-        let mut pass = shader::picture_pass(encoder, target, rows, true);
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_pipeline(&self.pipeline);
         for (i, group) in groups.into_iter().enumerate() {
             pass.set_bind_group(i as u32, group, &[]);
         }
-        pass.draw(0..3, 0..1);
+        let groups = |pixels: u32| pixels.div_ceil(GROUP_SIDE);
+        pass.dispatch_workgroups(groups(width), groups(rows.end - rows.start), 1);
     }
 }
 
 fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 11] {
-    let fragment = wgpu::ShaderStages::FRAGMENT;
     let texture = |binding, sample_type, view_dimension| wgpu::BindGroupLayoutEntry {
         binding,
-        visibility: fragment,
+        visibility: shader::STAGES,
         ty: wgpu::BindingType::Texture {
             sample_type,
             view_dimension,
@@ -152,7 +179,7 @@ fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 11] {
     [
         wgpu::BindGroupLayoutEntry {
             binding: 0,
-            visibility: fragment,
+            visibility: shader::STAGES,
             ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
             count: None,
         },

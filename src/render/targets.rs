@@ -17,13 +17,12 @@ pub(super) struct Targets {
     /// Four samples of a pixel's coverage, and their mean.
     pub coverage_samples: wgpu::TextureView,
     pub coverage: wgpu::TextureView,
-    /// Binds them to be shaded.
-    pub pixels: wgpu::BindGroup,
     /// The picture while things move.
     pub moving: wgpu::Texture,
     pub moving_view: wgpu::TextureView,
-    /// One frame of a still picture.
-    pub still_frame: wgpu::TextureView,
+    /// Binds all these to shade the moving picture, and one frame of a still one.
+    pub shade_moving: wgpu::BindGroup,
+    pub shade_still: wgpu::BindGroup,
     /// The mean of all of them.
     pub mean: wgpu::Texture,
     pub mean_view: wgpu::TextureView,
@@ -50,22 +49,25 @@ impl Targets {
             let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
             let read = attachment | wgpu::TextureUsages::TEXTURE_BINDING;
             let copied = read | wgpu::TextureUsages::COPY_SRC;
+            let shaded =
+                wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::STORAGE_BINDING;
             let make = |label, format, usage, samples| {
                 gpu.texture(label, [size[0], size[1], 1], format, usage, samples)
             };
             let view = |t: &wgpu::Texture| t.create_view(&wgpu::TextureViewDescriptor::default());
             let visible = view(&make("visible", VISIBLE, read, 1));
             let coverage = view(&make("coverage", COVERED, read, 1));
-            let moving = make("moving", LINEAR, copied, 1);
+            let moving = make("moving", LINEAR, shaded | wgpu::TextureUsages::COPY_SRC, 1);
             let mean = make("still", LINEAR, copied, 1);
             let shown = make("shown", SHOWN, copied, 1);
-            let still_frame = view(&make("still frame", LINEAR, read, 1));
+            let still_frame = view(&make("still frame", LINEAR, shaded, 1));
             let (moving_view, mean_view) = (view(&moving), view(&mean));
             Self {
                 size,
                 depth: view(&make("depth", DEPTH, attachment, 1)),
                 coverage_samples: view(&make("coverage samples", COVERED, attachment, SAMPLES)),
-                pixels: shade.bind_pixels(gpu, &visible, &coverage),
+                shade_moving: shade.bind_pixels(gpu, &visible, &coverage, &moving_view),
+                shade_still: shade.bind_pixels(gpu, &visible, &coverage, &still_frame),
                 accumulate: accumulate.bind(gpu, &still_frame),
                 show: [
                     display.bind(gpu, &moving_view, light),
@@ -76,7 +78,6 @@ impl Targets {
                 coverage,
                 moving,
                 moving_view,
-                still_frame,
                 mean,
                 mean_view,
                 shown,

@@ -74,7 +74,7 @@ impl VisiblePass {
         surface: &SurfaceBuffers,
         visible: &wgpu::TextureView,
         depth: &wgpu::TextureView,
-        rows: Option<&Range<u32>>,
+        rows: &Range<u32>,
     ) {
         let depth = wgpu::RenderPassDepthStencilAttachment {
             view: depth,
@@ -90,7 +90,7 @@ impl VisiblePass {
             surface,
             [visible, visible],
             Some(depth),
-            rows,
+            Some(rows),
         );
     }
 
