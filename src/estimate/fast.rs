@@ -89,6 +89,8 @@ pub struct Fit {
 pub struct CoarseFit<'a> {
     /// The fit.
     pub state: State<'a>,
+    /// [`State::unexplained`] of it, positive.
+    pub unexplained: f64,
     /// How much of what the broadest lobe leaves unexplained the best one explains, in [0, 1].
     pub sharpness: f64,
 }
@@ -157,9 +159,9 @@ impl Solver<'_> {
         Observations::gather(seen, &sampling).to_gray()
     }
 
-    /// The best of [`SIGMAS`] on the coarsest cells, improved by a few steps. Where another model's roughness is known,
-    /// only those near it are looked at, and the first.
-    pub fn coarse_fit(
+    /// The best of [`SIGMAS`] on the coarsest cells. Where another model's roughness is known, only those near it are looked
+    /// at, and the first.
+    pub fn compare_sigmas(
         &self,
         model: SpecularModel,
         near: Option<f32>,
@@ -216,10 +218,30 @@ impl Solver<'_> {
         let left_out = SIGMAS.len() - tried;
         self.shortcuts
             .count(Shortcut::Roughnesses, SIGMAS.len(), left_out);
-        let (cost, mut state) = best.unwrap_or((f64::INFINITY, dark));
+        let (cost, state) = best.unwrap_or((f64::INFINITY, dark));
         let sharpness = 1.0 - cost / broadest.unwrap_or(cost).max(f64::MIN_POSITIVE);
-        self.improve(&mut state, 4, ROUGH, watch)?;
-        Ok(CoarseFit { state, sharpness })
+        Ok(CoarseFit {
+            state,
+            unexplained: cost.max(f64::MIN_POSITIVE),
+            sharpness,
+        })
+    }
+
+    /// Improves a coarse fit by a few steps, unless they lead away from what explains most.
+    pub fn improve_coarse(
+        &self,
+        fit: &mut CoarseFit<'_>,
+        watch: &mut Watch<'_>,
+    ) -> Result<(), Stopped> {
+        watch.observer.interim(Interim::Lobe(fit.state.brdf.model));
+        let mut improved = fit.state.clone();
+        self.improve(&mut improved, 4, ROUGH, watch)?;
+        let unexplained = improved.unexplained();
+        if unexplained < fit.unexplained {
+            fit.state = improved;
+            fit.unexplained = unexplained.max(f64::MIN_POSITIVE);
+        }
+        Ok(())
     }
 
     /// Goes on from a coarse fit to single nodes.

@@ -179,6 +179,10 @@ pub fn estimate(
 /// to 95 % of them at every noise level from 0.3 to 3 %.
 const HALF_INTERVAL: f32 = 5.5;
 
+/// A specular model that leaves so many times as much as the other at the best of a few roughnesses won't leave less once both
+/// are improved. In 75 captures, rendered and made, improving never changed which leaves less.
+const CLEARLY_LESS: f64 = 1.25;
+
 /// Rounds in which the lights found and the views' exposures take turns.
 const MOST_ROUNDS: usize = 3;
 
@@ -388,41 +392,47 @@ fn accept(result: &mut Estimate, seen: &Seen<'_>, fit: Fit) {
     result.radiance = fit.nodes;
 }
 
-/// The coarse fit of the model asked for, or of the one that leaves less, with the reason in words.
+/// The coarse fit of the model asked for, or of the one that leaves less, with the reason in words. Where one leaves clearly
+/// less from the start, the other is not improved.
 fn choose<'s>(
     solver: &'s Solver<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<(CoarseFit<'s>, String), Stopped> {
     if let SpecularChoice::Model(model) = choice {
-        let fit = solver.coarse_fit(model, None, watch)?;
+        let mut fit = solver.compare_sigmas(model, None, watch)?;
+        solver.improve_coarse(&mut fit, watch)?;
         return Ok((fit, "it was asked for".to_owned()));
     }
-    let paper = solver.coarse_fit(SpecularModel::Paper, None, watch)?;
+    let mut better = solver.compare_sigmas(SpecularModel::Paper, None, watch)?;
     if watch.observer.enough() {
-        return Ok((paper, "it was the only one tried before the end".to_owned()));
+        let because = "it was the only one tried before the end".to_owned();
+        return Ok((better, because));
     }
-    let near = Some(paper.state.brdf.sigma);
-    let microfacet = solver.coarse_fit(SpecularModel::Microfacet, near, watch)?;
-    let left = [&paper, &microfacet].map(|s| s.state.unexplained().max(f64::MIN_POSITIVE));
-    let (chosen, names, ratio) = if left[0] <= left[1] {
-        (
-            paper,
-            ["constant Fresnel and masking", "the microfacet model"],
-            left[0] / left[1],
-        )
-    } else {
-        (
-            microfacet,
-            ["the microfacet model", "constant Fresnel and masking"],
-            left[1] / left[0],
-        )
+    let near = Some(better.state.brdf.sigma);
+    let mut other = solver.compare_sigmas(SpecularModel::Microfacet, near, watch)?;
+    let ratio = better.unexplained / other.unexplained;
+    let clear = !(1.0 / CLEARLY_LESS..CLEARLY_LESS).contains(&ratio);
+    let both = !clear || !solver.shortcuts.takes(Shortcut::Roughnesses);
+    if both {
+        solver.improve_coarse(&mut better, watch)?;
+        solver.improve_coarse(&mut other, watch)?;
+    }
+    if other.unexplained < better.unexplained {
+        std::mem::swap(&mut better, &mut other);
+    }
+    let named = |fit: &CoarseFit<'_>| match fit.state.brdf.model {
+        SpecularModel::Paper => "constant Fresnel and masking",
+        SpecularModel::Microfacet => "the microfacet model",
     };
     let because = format!(
         "{} leaves {:.0} % of the residual that {} leaves",
-        names[0],
-        100.0 * ratio,
-        names[1]
+        named(&better),
+        100.0 * better.unexplained / other.unexplained,
+        named(&other)
     );
-    Ok((chosen, because))
+    if !both {
+        solver.improve_coarse(&mut better, watch)?;
+    }
+    Ok((better, because))
 }

