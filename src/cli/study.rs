@@ -45,6 +45,7 @@ pub(super) fn run(args: &StudyArgs, output: OutputArgs) -> anyhow::Result<()> {
         size: args.size.pixels(),
         seeds: args.seeds,
         rounds: args.rounds,
+        threads: output.threads,
         most_megapixels: args.most_pixels,
     };
     let mut progress = Progress::new(output);

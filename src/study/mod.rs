@@ -26,6 +26,8 @@ use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::thread;
 use std::time::Duration;
 
+use rayon::ThreadPoolBuilder;
+
 use crate::bench::Audience;
 use case::Group;
 use outcome::Outcome;
@@ -47,6 +49,8 @@ pub struct Plan {
     pub seeds: u32,
     /// How often solves are timed; the medians are stated.
     pub rounds: u32,
+    /// Threads of solves that are timed; all cores where nothing is said.
+    pub threads: Option<u16>,
     /// Megapixels of the largest photographs that are timed.
     pub most_megapixels: f64,
 }
@@ -235,11 +239,14 @@ fn study(
         folder,
         rounds: if section.is_timed() { plan.rounds } else { 1 },
         with_floor: section.is_timed(),
-        options: if section.is_timed() {
-            Vec::new()
+        threads: if section.is_timed() {
+            plan.threads
         } else {
-            ["--threads", "1"].map(str::to_owned).to_vec()
+            Some(1)
         },
+        makers: ThreadPoolBuilder::new()
+            .build()
+            .expect("threads can be started"),
         stop: &stop,
     };
     let work = work(groups);

@@ -147,6 +147,12 @@ fn add_head(text: &mut String, section: Section, studied: &[Studied], plan: &Pla
         Section::Skipping => SKIPPING.to_owned(),
     };
     let _ = write!(text, "\n{}\n\n{words}", heading(section));
+    if section.is_timed() {
+        let threads = plan
+            .threads
+            .map_or("a thread per core".to_owned(), |n| format!("{n} threads"));
+        let _ = writeln!(text, "\nSolves have {threads} of {}.", processor());
+    }
     if section == Section::Stability {
         let outcomes = || studied.iter().flat_map(|s| &s.outcomes);
         let counts = ["fine", "degrades", "doubted", "refused", "failed"].map(|word| {
@@ -160,6 +166,15 @@ fn add_head(text: &mut String, section: Section, studied: &[Studied], plan: &Pla
             counts.join(", ")
         );
     }
+}
+
+/// The processor's name where the system tells it.
+fn processor() -> String {
+    let named = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
+        let line = text.lines().find(|line| line.starts_with("model name"))?;
+        Some(line.split_once(':')?.1.trim().to_owned())
+    });
+    named.unwrap_or_else(|| "this machine".to_owned())
 }
 
 fn add_tables(text: &mut String, section: Section, studied: &[Studied]) {
@@ -370,6 +385,7 @@ mod tests {
             size: [320, 240],
             seeds: 1,
             rounds: 1,
+            threads: None,
             most_megapixels: 1.0,
         };
         Study {

@@ -2,6 +2,7 @@
 
 use super::case::Group;
 use super::stability;
+use super::trial::THREADS;
 use crate::synth::{Light, Places, Recipe};
 
 /// Width and height of the photographs where they are not swept.
@@ -79,7 +80,7 @@ pub(super) fn groups(most_megapixels: f64) -> Vec<Group> {
             &[1.0, 2.0, 4.0, 8.0, 12.0],
             set_lamps,
         ),
-        Group::option("threads", "threads", &base, &[1, 2], "--threads"),
+        Group::option("threads", "threads", &base, &[1, 2], THREADS),
     ]
 }
 

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use rayon::ThreadPool;
 use rayon::prelude::*;
 use serde_json::Value;
 
@@ -18,6 +19,9 @@ use crate::math::median;
 use crate::solution::Solution;
 use crate::synth::{Recipe, SynthError, make};
 
+/// The program's option for them.
+pub(super) const THREADS: &str = "--threads";
+
 /// Where and how cases are tried.
 pub(super) struct Workshop<'a> {
     /// The program that solves.
@@ -28,8 +32,10 @@ pub(super) struct Workshop<'a> {
     pub rounds: u32,
     /// Whether it is told how long reading the photographs alone takes.
     pub with_floor: bool,
-    /// Arguments of all solves.
-    pub options: Vec<String>,
+    /// Threads of each solve, unless it is told another number; all cores where nothing is said.
+    pub threads: Option<u16>,
+    /// Threads that make captures, which nobody times.
+    pub makers: ThreadPool,
     /// Set once nothing more is wanted.
     pub stop: &'a AtomicBool,
 }
@@ -44,13 +50,14 @@ impl Workshop<'_> {
     ) -> Result<Vec<Outcome>, StudyError> {
         let own = self.folder.join(name);
         let capture = own.join("capture");
-        let made = make(recipe, &capture, &mut |_, _| {
+        let mut go_on = |_: &str, _: f32| {
             if self.stop.load(Ordering::Relaxed) {
                 ControlFlow::Break(())
             } else {
                 ControlFlow::Continue(())
             }
-        });
+        };
+        let made = self.makers.install(|| make(recipe, &capture, &mut go_on));
         match made {
             Err(SynthError::Stopped) => return Err(StudyError::Stopped),
             other => other?,
@@ -91,7 +98,12 @@ impl Workshop<'_> {
             .to_vec();
         arguments.push(solution.to_string_lossy().into_owned());
         arguments.push(capture.to_string_lossy().into_owned());
-        arguments.extend(self.options.iter().chain(options).cloned());
+        arguments.extend_from_slice(options);
+        if let Some(threads) = self.threads
+            && !options.iter().any(|option| option == THREADS)
+        {
+            arguments.extend([THREADS.to_owned(), threads.to_string()]);
+        }
         let end =
             run(self.program, &arguments, own, self.stop).map_err(|source| StudyError::Child {
                 path: self.program.to_owned(),

@@ -12,7 +12,7 @@ use tempfile::TempDir;
 use super::*;
 use crate::bench::{FoundLamp, Measures, Truth};
 use crate::capture::{Capture, Mesh, Origin, read_cameras, read_covered};
-use crate::estimate::{EstimateParams, Unobserved};
+use crate::estimate::{EstimateParams, SpecularModel, Unobserved};
 use crate::preflight::{self, Severity};
 use crate::solution::{Solution, SolveOptions, solve};
 
@@ -422,6 +422,23 @@ fn an_estimate_finds_what_was_put_in() {
     assert!(errors.direction_deg.unwrap() < 0.5, "{errors:?}");
     assert!(errors.flux.unwrap() < 0.03, "{errors:?}");
     assert!(errors.hemisphere.unwrap() < 0.3, "{errors:?}");
+}
+
+#[test]
+fn two_lamps_and_some_noise_are_no_other_specular_model() {
+    let folder = made(|recipe| {
+        *recipe = Recipe::default();
+        recipe.truth_pictures = false;
+        recipe.views.size = [240, 180];
+        recipe.sensor.noise = 0.01;
+        let lamps = lamps(recipe);
+        lamps.places = Places::Row(2, 10_f32.to_radians());
+        lamps.angular_radius = 2_f32.to_radians();
+        lamps.contrast = 1.5;
+    });
+    let brdf = solved(&folder).brdf.expect("a specular part");
+    assert_eq!(brdf.model, SpecularModel::Paper);
+    assert!((brdf.sigma / 0.075 - 1.0).abs() < 0.02, "{brdf:?}");
 }
 
 /// The lamps found on a ball under one or two lamps of the given radius, degrees.
