@@ -143,6 +143,18 @@ pub struct Entry {
     pub tip: &'static str,
 }
 
+impl Entry {
+    /// Its keys as they are read: signs by the sign, not by its name.
+    pub fn keys_text(&self, ctx: &eframe::egui::Context) -> Option<String> {
+        let keys = self.keys?;
+        let text = ctx.format_shortcut(&keys);
+        let modifiers = text.strip_suffix(keys.logical_key.name());
+        Some(modifiers.map_or(text.clone(), |modifiers| {
+            modifiers.to_owned() + keys.logical_key.symbol_or_name()
+        }))
+    }
+}
+
 const fn entry(
     action: Action,
     name: &'static str,

@@ -32,8 +32,8 @@ fn menu_ui(ui: &mut egui::Ui, app: &App, menu: Menu, requests: &mut Vec<Request>
                 continue;
             }
             let mut button = Button::new(entry.name);
-            if let Some(keys) = &entry.keys {
-                button = button.shortcut_text(ui.ctx().format_shortcut(keys));
+            if let Some(keys) = entry.keys_text(ui.ctx()) {
+                button = button.shortcut_text(keys);
             }
             let response = ui
                 .add_enabled(app.enabled(entry.action), button)

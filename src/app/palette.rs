@@ -91,10 +91,7 @@ impl CommandPalette {
 }
 
 fn row_ui(ui: &mut egui::Ui, entry: &Entry, selected: bool) -> egui::Response {
-    let keys = entry
-        .keys
-        .map(|keys| ui.ctx().format_shortcut(&keys))
-        .unwrap_or_default();
+    let keys = entry.keys_text(ui.ctx()).unwrap_or_default();
     let button = egui::Button::selectable(selected, entry.name)
         .shortcut_text(keys)
         .min_size(vec2(ui.available_width(), 0.0));
@@ -147,7 +144,9 @@ fn menu_keys(ui: &mut egui::Ui, menu: Menu) {
         .min_col_width(110.0)
         .show(ui, |ui| {
             for entry in ENTRIES.iter().filter(|e| e.menu == menu) {
-                let Some(keys) = entry.keys else { continue };
+                let Some(keys) = entry.keys_text(ui.ctx()) else {
+                    continue;
+                };
                 match entry.action {
                     Action::Camera(0) => {
                         ui.label(RichText::new("1 … 9").monospace());
@@ -158,7 +157,7 @@ fn menu_keys(ui: &mut egui::Ui, menu: Menu) {
                     Action::Camera(_) => continue,
                     _ => {}
                 }
-                ui.label(RichText::new(ui.ctx().format_shortcut(&keys)).monospace());
+                ui.label(RichText::new(keys).monospace());
                 ui.label(entry.name);
                 ui.end_row();
             }

@@ -146,7 +146,7 @@ fn begin_ui(ui: &mut egui::Ui, shared: &mut Shared<'_>, opening: Option<&Source>
             } else {
                 egui::Button::new(entry.name)
             };
-            let keys = entry.keys.map(|keys| ui.ctx().format_shortcut(&keys));
+            let keys = entry.keys_text(ui.ctx());
             let tip = format!("{} ({})", entry.tip, keys.unwrap_or_default());
             if ui.add(button.min_size(wide)).on_hover_text(tip).clicked() {
                 shared.actions.push(Request::Action(action));

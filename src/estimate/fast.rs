@@ -89,7 +89,7 @@ pub struct Fit {
 pub struct CoarseFit<'a> {
     /// The fit.
     pub state: State<'a>,
-    /// [`State::unexplained`] of it, positive.
+    /// The least [`State::unexplained`] on the way to it, positive.
     pub unexplained: f64,
     /// How much of what the broadest lobe leaves unexplained the best one explains, in [0, 1].
     pub sharpness: f64,
@@ -227,20 +227,17 @@ impl Solver<'_> {
         })
     }
 
-    /// Improves a coarse fit by a few steps, unless they lead away from what explains most.
+    /// Improves a coarse fit by a few steps. They may leave more unexplained than before them, where bad pixels lose their weight
+    /// or lights still find their places: that says nothing against the model.
     pub fn improve_coarse(
         &self,
         fit: &mut CoarseFit<'_>,
         watch: &mut Watch<'_>,
     ) -> Result<(), Stopped> {
         watch.observer.interim(Interim::Lobe(fit.state.brdf.model));
-        let mut improved = fit.state.clone();
-        self.improve(&mut improved, 4, ROUGH, watch)?;
-        let unexplained = improved.unexplained();
-        if unexplained < fit.unexplained {
-            fit.state = improved;
-            fit.unexplained = unexplained.max(f64::MIN_POSITIVE);
-        }
+        self.improve(&mut fit.state, 4, ROUGH, watch)?;
+        let unexplained = fit.state.unexplained().max(f64::MIN_POSITIVE);
+        fit.unexplained = fit.unexplained.min(unexplained);
         Ok(())
     }
 

@@ -11,5 +11,5 @@ pub use grid::HemisphereGrid;
 pub use lat_long::{
     SkyPiece, direction_from_lat_long, lat_long, lat_long_from_direction, lat_long_of,
 };
-pub use partial::{InitialHemisphere, PartialHemisphere, SpecularImage};
+pub use partial::{InitialHemisphere, PartialHemisphere, SpecularImage, SpecularPixel};
 pub use picture::{Exposure, FromAbove, Picture, from_above_axes, srgb};

@@ -19,20 +19,27 @@ const CLOSING_ROUNDS: usize = 2;
 /// Neighbours with a value that a node needs to be closed: more than half around it, so that the border does not grow.
 const CLOSING_NEIGHBOURS: usize = 4;
 
+/// Pixels of a view that are looked at, about: of larger photographs every second in both directions, or fewer. There are
+/// some forty for each node of a hemisphere.
+const MOST_PIXELS: usize = 1 << 20;
+
 /// A photograph less the rendered diffuse texture.
 #[derive(Clone, Debug)]
 pub struct SpecularImage {
-    /// Width in pixels.
-    pub width: u32,
-    /// Height in pixels.
-    pub height: u32,
-    /// What the photograph shows beyond the diffuse texture, RGB, at least zero, row by row from the top.
-    pub radiance: Vec<[f32; 3]>,
-    /// Unit shading normal at each pixel's centre; zero where the pixel is not used: off the object, at a silhouette or a
-    /// jump in depth, seen at a grazing angle, not data, or of unknown diffuse colour.
-    pub normal: Vec<Vec3>,
-    /// Surface position at each pixel's centre, zero where not used.
-    pub position: Vec<Vec3>,
+    /// Row by row from the top, without pixels that are not used: off the object, at a silhouette or a jump in depth, seen at a
+    /// grazing angle, not data, or of unknown diffuse colour.
+    pub pixels: Vec<SpecularPixel>,
+}
+
+/// A pixel of a specular image.
+#[derive(Clone, Copy, Debug)]
+pub struct SpecularPixel {
+    /// What the photograph shows beyond the diffuse texture, RGB, at least zero.
+    pub radiance: Vec3,
+    /// Unit shading normal at the pixel's centre.
+    pub normal: Vec3,
+    /// Surface position there.
+    pub position: Vec3,
 }
 
 /// What one view says of the light from each node.
@@ -66,52 +73,47 @@ impl SpecularImage {
         let width = surface.width as usize;
         let camera = &view.camera;
         let eye = camera.position().as_vec3();
-        let pixels: Vec<([f32; 3], Vec3, Vec3)> = (0..surface.triangle.len())
-            .into_par_iter()
-            .map(|pixel| {
-                let unused = ([0.0; 3], Vec3::ZERO, Vec3::ZERO);
-                let triangle = surface.triangle[pixel];
-                let usable = triangle != NO_TRIANGLE
-                    && surface.interior[pixel]
-                    && is_object(&view.photograph, pixel);
-                if !usable {
-                    return unused;
-                }
-                let (x, y) = ((pixel % width) as u32, (pixel / width) as u32);
-                let Some(barycentric) = surface.barycentric(mesh, camera, x, y) else {
-                    return unused;
-                };
-                let point = mesh.point(triangle, barycentric);
-                let to_camera = (eye - point.position).normalize_or_zero();
-                if point.normal.dot(to_camera) < GRAZING {
-                    return unused;
-                }
-                let Some(diffuse) = texture.at(atlas, triangle, barycentric) else {
-                    return unused;
-                };
-                let measured = Vec3::from(view.photograph.radiance[pixel]);
-                let specular = (measured - Vec3::from(diffuse)).max(Vec3::ZERO);
-                (specular.to_array(), point.normal, point.position)
+        let step = surface.triangle.len().div_ceil(MOST_PIXELS).isqrt().max(1);
+        let (columns, rows) = (
+            width.div_ceil(step),
+            (surface.height as usize).div_ceil(step),
+        );
+        let pixels = (0..columns * rows).into_par_iter().filter_map(|at| {
+            let (x, y) = (at % columns * step, at / columns * step);
+            let pixel = y * width + x;
+            let triangle = surface.triangle[pixel];
+            let usable = triangle != NO_TRIANGLE
+                && surface.interior[pixel]
+                && is_object(&view.photograph, pixel);
+            if !usable {
+                return None;
+            }
+            let barycentric = surface.barycentric(mesh, camera, x as u32, y as u32)?;
+            let point = mesh.point(triangle, barycentric);
+            let to_camera = (eye - point.position).normalize_or_zero();
+            if point.normal.dot(to_camera) < GRAZING {
+                return None;
+            }
+            let diffuse = texture.at(atlas, triangle, barycentric)?;
+            let measured = Vec3::from(view.photograph.radiance[pixel]);
+            Some(SpecularPixel {
+                radiance: (measured - Vec3::from(diffuse)).max(Vec3::ZERO),
+                normal: point.normal,
+                position: point.position,
             })
-            .collect();
+        });
         Self {
-            width: surface.width,
-            height: surface.height,
-            radiance: pixels.iter().map(|p| p.0).collect(),
-            normal: pixels.iter().map(|p| p.1).collect(),
-            position: pixels.iter().map(|p| p.2).collect(),
+            pixels: pixels.collect(),
         }
     }
 
     /// The specular radiance mapped to the hemisphere.
     pub fn partial_hemisphere(&self, grid: &HemisphereGrid, eye: Vec3) -> PartialHemisphere {
-        let nodes: Vec<Option<u32>> = (0..self.radiance.len())
-            .into_par_iter()
+        let nodes: Vec<Option<u32>> = self
+            .pixels
+            .par_iter()
             .map(|pixel| {
-                let (n, x) = (self.normal[pixel], self.position[pixel]);
-                if n == Vec3::ZERO {
-                    return None;
-                }
+                let (n, x) = (pixel.normal, pixel.position);
                 let v = (eye - x).normalize_or_zero();
                 let mirrored = 2.0 * n.dot(v) * n - v;
                 grid.nearest_along(x, mirrored).map(|node| node as u32)
@@ -119,9 +121,9 @@ impl SpecularImage {
             .collect();
         let mut sum = vec![Vec3::ZERO; grid.directions.len()];
         let mut count = vec![0_u32; grid.directions.len()];
-        for (node, &radiance) in nodes.iter().zip(&self.radiance) {
+        for (node, pixel) in nodes.iter().zip(&self.pixels) {
             if let Some(node) = *node {
-                sum[node as usize] += Vec3::from(radiance);
+                sum[node as usize] += pixel.radiance;
                 count[node as usize] += 1;
             }
         }

@@ -195,7 +195,7 @@ fn silhouettes(report: &Report, findings: &mut Findings) {
         );
     } else if least >= IOU_FAIR {
         let message = format!(
-            "Mesh and alpha agree: {} or more in every view.",
+            "Mesh and alpha agree: the least overlap in a view is {}.",
             percent(least)
         );
         findings.add(Severity::Ok, "silhouettes", message, "");

@@ -34,8 +34,10 @@ const BASE_ERROR: f32 = 0.01;
 const MIXED_WEIGHT: f32 = 0.05;
 /// Residuals beyond this many standard deviations lose their weight (Tukey's biweight).
 const OUTLIER: f32 = 6.0;
-/// Views share this many accumulators, so that memory does not grow with their number.
+/// Views share this many accumulators, so that memory does not grow with their number, …
 const ACCUMULATORS: usize = 4;
+/// … and fewer where they would have more sums than these together.
+const MOST_SUMS: usize = 32 << 20;
 /// Weight, in fully trusted pixels, at which a texel's confidence is one half.
 const HALF_CONFIDENCE: f32 = 0.1;
 
@@ -104,7 +106,8 @@ pub fn reconstruct(
     let texels = (atlas.width * atlas.height) as usize;
     let size = [atlas.width as usize, atlas.height as usize];
 
-    let mut sums = Sums::new(views.len().min(ACCUMULATORS), texels);
+    let accumulators = ACCUMULATORS.min(MOST_SUMS / texels.max(1)).max(1);
+    let mut sums = Sums::new(views.len().min(accumulators), texels);
     sums.scatter(&footprints, size, |view, i| {
         let f = &footprints[view];
         f.target[i] / f.covered(i)

@@ -96,7 +96,7 @@ pub(super) fn fullscreen(
 }
 
 /// A pass that draws into a picture, or into some of its rows.
-pub(super) fn picture_pass<'e>(
+fn picture_pass<'e>(
     encoder: &'e mut wgpu::CommandEncoder,
     target: &wgpu::TextureView,
     rows: Option<&Range<u32>>,
