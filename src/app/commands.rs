@@ -148,10 +148,11 @@ impl Entry {
     pub fn keys_text(&self, ctx: &eframe::egui::Context) -> Option<String> {
         let keys = self.keys?;
         let text = ctx.format_shortcut(&keys);
-        let modifiers = text.strip_suffix(keys.logical_key.name());
-        Some(modifiers.map_or(text.clone(), |modifiers| {
-            modifiers.to_owned() + keys.logical_key.symbol_or_name()
-        }))
+        let key = keys.logical_key;
+        Some(match text.strip_suffix(key.name()) {
+            Some(modifiers) => format!("{modifiers}{}", key.symbol_or_name()),
+            None => text,
+        })
     }
 }
 

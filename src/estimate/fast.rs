@@ -227,8 +227,8 @@ impl Solver<'_> {
         })
     }
 
-    /// Improves a coarse fit by a few steps. They may leave more unexplained than before them, where bad pixels lose their weight
-    /// or lights still find their places: that says nothing against the model.
+    /// Improves a coarse fit by a few steps. These may leave more unexplained than was before them, which does not count against
+    /// its model.
     pub fn improve_coarse(
         &self,
         fit: &mut CoarseFit<'_>,

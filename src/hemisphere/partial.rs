@@ -19,8 +19,8 @@ const CLOSING_ROUNDS: usize = 2;
 /// Neighbours with a value that a node needs to be closed: more than half around it, so that the border does not grow.
 const CLOSING_NEIGHBOURS: usize = 4;
 
-/// Pixels of a view that are looked at, about: of larger photographs every second in both directions, or fewer. There are
-/// some forty for each node of a hemisphere.
+/// Pixels that a view needs, some forty for each node of a hemisphere: of photographs of four times as many every second is
+/// looked at in both directions, of nine times as many every third.
 const MOST_PIXELS: usize = 1 << 20;
 
 /// A photograph less the rendered diffuse texture.

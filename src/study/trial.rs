@@ -19,7 +19,7 @@ use crate::math::median;
 use crate::solution::Solution;
 use crate::synth::{Recipe, SynthError, make};
 
-/// The program's option for them.
+/// The program's option for its number of threads.
 pub(super) const THREADS: &str = "--threads";
 
 /// Where and how cases are tried.
