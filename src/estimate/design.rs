@@ -105,16 +105,23 @@ impl Design<'_> {
             .into_par_iter()
             .map(|(first, last)| self.run_equations(&lobes, weights, first, last))
             .collect();
+        let columns: Vec<Vec<f64>> = (0..n)
+            .into_par_iter()
+            .map(|j| {
+                let mut sums = vec![0.0; n + 3 - j];
+                for part in &parts {
+                    add(&mut sums, &part.column(j)[j..]);
+                }
+                sums
+            })
+            .collect();
         let mut gram = Mat::<f64>::zeros(n, n);
         let mut rhs = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
-        for j in 0..n {
-            let column = &mut gram.col_as_slice_mut(j)[j..];
-            for part in &parts {
-                let (products, measured) = part.column(j)[j..].split_at(n - j);
-                add(column, products);
-                for (sum, &m) in rhs.iter_mut().zip(measured) {
-                    sum[j] += m;
-                }
+        for (j, sums) in columns.into_iter().enumerate() {
+            let (products, measured) = sums.split_at(n - j);
+            gram.col_as_slice_mut(j)[j..].copy_from_slice(products);
+            for (rhs, &m) in rhs.iter_mut().zip(measured) {
+                rhs[j] = m;
             }
         }
         for j in 0..n {

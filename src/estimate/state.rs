@@ -4,6 +4,7 @@ use std::sync::atomic::Ordering;
 
 use faer::linalg::solvers::Solve;
 use faer::{Col, Mat, Side};
+use rayon::prelude::*;
 
 use super::cells::Cell;
 use super::design::{Design, NormalEquations, Prediction};
@@ -229,13 +230,16 @@ impl<'a> State<'a> {
             ..NnlsParams::default()
         };
         let channels = if self.design.observations.gray { 1 } else { 3 };
-        for c in 0..channels {
-            let mut x: Vec<f64> = self
-                .candidates
-                .iter()
-                .map(|&k| f64::from(self.radiance[k][c]))
-                .collect();
-            nnls::solve(gram.as_ref(), &equations.rhs[c], &mut x, &params);
+        let solved: Vec<Vec<f64>> = (0..channels)
+            .into_par_iter()
+            .map(|c| {
+                let start = self.candidates.iter();
+                let mut x: Vec<f64> = start.map(|&k| f64::from(self.radiance[k][c])).collect();
+                nnls::solve(gram.as_ref(), &equations.rhs[c], &mut x, &params);
+                x
+            })
+            .collect();
+        for (c, x) in solved.into_iter().enumerate() {
             for (&k, x) in self.candidates.iter().zip(x) {
                 self.radiance[k][c] = x as f32;
             }

@@ -10,8 +10,9 @@ use super::cells::{Cell, Pyramid};
 use super::design::Design;
 use super::lobes::light_from;
 use super::model::Brdf;
+use super::observations::Point;
 use super::shortcuts::Shortcut;
-use crate::surface::Occluder;
+use crate::surface::{LANES, Occluder};
 
 /// Part of a lobe's peak below which a light is not worth a shadow ray.
 const NEGLIGIBLE: f32 = 3e-3;
@@ -37,8 +38,7 @@ pub fn cell_visibility(
     occluder: &Occluder,
 ) -> Vec<f32> {
     let groups = group(pyramid, cells, &design.geometry.directions);
-    let widest = groups.reach;
-    let support = brdf.half_angle_support(NEGLIGIBLE) + 0.5 * widest;
+    let support = brdf.half_angle_support(NEGLIGIBLE) + 0.5 * groups.reach;
     let n = cells.len();
     let mut visibility = vec![1.0_f32; design.observations.points.len() * n];
     visibility
@@ -48,60 +48,113 @@ pub fn cell_visibility(
             if design.stop.load(Ordering::Relaxed) {
                 return;
             }
-            let point = &design.observations.points[index];
-            let rows = &design.observations.rows[point.rows.clone()];
-            let origin = occluder.offset_origin(point.position, point.normal);
-            let sees = |direction: Vec3| {
-                let (l, _) = light_from(design.near, direction, point.position);
-                let distance = design.near.map_or(f32::INFINITY, |(c, r)| {
-                    (c + r * direction - origin).length()
-                });
-                !occluder.occluded(origin, l, distance)
+            let lookout = Lookout::new(design, occluder, index);
+            let rays = if design.shortcuts.takes(Shortcut::ShadowRays) {
+                lookout.look_by_groups(&groups, support, out)
+            } else {
+                lookout.look(0..n, out);
+                n
             };
-            let matters = |direction: Vec3| {
-                let (l, _) = light_from(design.near, direction, point.position);
-                point.normal.dot(l) > -widest
-                    && rows.iter().any(|r| {
-                        (l + r.to_camera)
-                            .normalize_or_zero()
-                            .dot(point.normal)
-                            .clamp(-1.0, 1.0)
-                            .acos()
-                            < support
-                    })
-            };
-            if !design.shortcuts.takes(Shortcut::ShadowRays) {
-                for (out, &direction) in out.iter_mut().zip(&design.geometry.directions) {
-                    *out = f32::from(u8::from(sees(direction)));
-                }
-                design.shortcuts.count(Shortcut::ShadowRays, n, 0);
-                return;
-            }
-            let seen: Vec<Option<bool>> = groups
-                .list
-                .iter()
-                .map(|g| matters(g.direction).then(|| sees(g.direction)))
-                .collect();
-            let mut rays = seen.iter().flatten().count();
-            for (g, own) in groups.list.iter().zip(&seen) {
-                let Some(own) = *own else { continue };
-                let agreed = g.around.iter().all(|&o| seen[o].is_none_or(|s| s == own));
-                if !agreed {
-                    rays += g.members.len();
-                }
-                for &c in &g.members {
-                    let s = if agreed {
-                        own
-                    } else {
-                        sees(design.geometry.directions[c])
-                    };
-                    out[c] = f32::from(u8::from(s));
-                }
-            }
             let left_out = n.saturating_sub(rays);
             design.shortcuts.count(Shortcut::ShadowRays, n, left_out);
         });
     visibility
+}
+
+/// A surface point that looks for the cells.
+struct Lookout<'a> {
+    design: &'a Design<'a>,
+    occluder: &'a Occluder,
+    point: &'a Point,
+    /// Where its rays start.
+    origin: Vec3,
+}
+
+impl<'a> Lookout<'a> {
+    fn new(design: &'a Design<'_>, occluder: &'a Occluder, index: usize) -> Self {
+        let point = &design.observations.points[index];
+        Self {
+            design,
+            occluder,
+            point,
+            origin: occluder.offset_origin(point.position, point.normal),
+        }
+    }
+
+    /// Calls `tell` for each of some numbered directions, and whether the point sees that way.
+    fn each(&self, directions: &[(usize, Vec3)], mut tell: impl FnMut(usize, bool)) {
+        for bundle in directions.chunks(LANES) {
+            let rays = bundle.iter().map(|&(_, direction)| self.ray(direction));
+            let blocked = self.occluder.occluded_many(self.origin, rays);
+            for (lane, &(number, _)) in bundle.iter().enumerate() {
+                tell(number, blocked >> lane & 1 == 0);
+            }
+        }
+    }
+
+    /// Direction and length of a ray towards a light.
+    fn ray(&self, direction: Vec3) -> (Vec3, f32) {
+        let (l, _) = light_from(self.design.near, direction, self.point.position);
+        let distance = self.design.near.map_or(f32::INFINITY, |(centre, radius)| {
+            (centre + radius * direction - self.origin).length()
+        });
+        (l, distance)
+    }
+
+    /// Looks for every one of some cells.
+    fn look(&self, cells: impl Iterator<Item = usize>, out: &mut [f32]) {
+        let directions = &self.design.geometry.directions;
+        let cells: Vec<(usize, Vec3)> = cells.map(|c| (c, directions[c])).collect();
+        self.each(&cells, |cell, sees| out[cell] = f32::from(u8::from(sees)));
+    }
+
+    /// Looks for groups that could show within the angle `support` of a half vector, then for cells where groups disagree.
+    /// Returns the number of rays.
+    fn look_by_groups(&self, groups: &Groups, support: f32, out: &mut [f32]) -> usize {
+        let least = support.min(std::f32::consts::PI).cos();
+        let towards: Vec<(usize, Vec3)> = groups
+            .list
+            .iter()
+            .enumerate()
+            .map(|(k, group)| (k, group.direction))
+            .filter(|&(_, direction)| self.could_show(direction, groups.reach, least))
+            .collect();
+        let mut rays = towards.len();
+        let mut seen: Vec<Option<bool>> = vec![None; groups.list.len()];
+        self.each(&towards, |k, sees| seen[k] = Some(sees));
+        let mut open = Vec::new();
+        for (group, own) in groups.list.iter().zip(&seen) {
+            let Some(own) = *own else { continue };
+            if group
+                .around
+                .iter()
+                .all(|&o| seen[o].is_none_or(|s| s == own))
+            {
+                for &cell in &group.members {
+                    out[cell] = f32::from(u8::from(own));
+                }
+            } else {
+                open.extend(&group.members);
+            }
+        }
+        rays += open.len();
+        self.look(open.into_iter(), out);
+        rays
+    }
+
+    /// Whether light from a direction, or up to `reach` from it, is not behind the surface and has a half vector whose
+    /// cosine is more than `least` in some row.
+    fn could_show(&self, direction: Vec3, reach: f32, least: f32) -> bool {
+        let (l, _) = light_from(self.design.near, direction, self.point.position);
+        let normal = self.point.normal;
+        normal.dot(l) > -reach
+            && self.design.observations.rows[self.point.rows.clone()]
+                .iter()
+                .any(|row| {
+                    let sum = l + row.to_camera;
+                    sum.dot(normal) > least * sum.length()
+                })
+    }
 }
 
 struct Groups {

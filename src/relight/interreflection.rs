@@ -23,7 +23,7 @@ use super::shading::{Shader, ShadingPoint, Visibility};
 use crate::capture::Mesh;
 use crate::estimate::Brdf;
 use crate::math::GOLDEN_ANGLE;
-use crate::surface::{Atlas, Occluder};
+use crate::surface::{Atlas, LANES, Occluder};
 
 /// Distance of gather points as a part of the object's diagonal.
 const SPACING: f32 = 1.0 / 90.0;
@@ -31,6 +31,8 @@ const SPACING: f32 = 1.0 / 90.0;
 const MAX_PLACES: usize = 3_000_000;
 /// Rays of each gather point.
 const RAYS: usize = 96;
+/// Those that are about as far from the normal.
+const RING: usize = 24;
 /// Rounds of interreflection of new light at most …
 const MAX_BOUNCES: usize = 64;
 /// … and the part of the brightest irradiance below which a further round is not worth its while.
@@ -99,11 +101,12 @@ impl Interreflection {
         }
         let places = lattice.points(mesh);
         let clusters = Clusters::new(&places, spacing);
+        let order = ring_order();
         let rays: Vec<Vec<Hit>> = clusters
             .gather
             .par_iter()
             .enumerate()
-            .map(|(i, point)| cast(mesh, occluder, brdf, scale, point, i))
+            .map(|(i, point)| cast(mesh, occluder, brdf, scale, point, i, &order))
             .collect();
         let mut starts = vec![0];
         let mut hits = Vec::with_capacity(rays.iter().map(Vec::len).sum());
@@ -282,31 +285,50 @@ fn cast(
     scale: f32,
     point: &ShadingPoint,
     index: usize,
+    order: &[usize; RAYS],
 ) -> Vec<Hit> {
     let origin = occluder.offset_origin(point.position, point.face_normal);
     let (tangent, bitangent) = point.normal.any_orthonormal_pair();
     // Every gather point turns the spiral, so that its gaps do not show as a pattern.
     let turn = (index as f32 * 0.618_034).fract() * TAU;
-    (0..RAYS)
-        .filter_map(|ray| {
-            let radius = ((ray as f32 + 0.5) / RAYS as f32).sqrt();
-            let (sin, cos) = (turn + ray as f32 * GOLDEN_ANGLE).sin_cos();
-            let height = (1.0 - radius * radius).sqrt();
-            let direction = radius * (cos * tangent + sin * bitangent) + height * point.normal;
-            if direction.dot(point.face_normal) <= 0.0 {
-                return None;
-            }
-            let hit = occluder.hit(origin, direction)?;
-            let cos_there = exit_cosine(mesh, hit.triangle, hit.barycentric, direction)?;
-            Some(Hit {
+    let height_of = |ray: usize| (1.0 - (ray as f32 + 0.5) / RAYS as f32).sqrt();
+    let direction = |ray: usize| {
+        let height = height_of(ray);
+        let radius = (1.0 - height * height).sqrt();
+        let (sin, cos) = (turn + ray as f32 * GOLDEN_ANGLE).sin_cos();
+        radius * (cos * tangent + sin * bitangent) + height * point.normal
+    };
+    let rays: Vec<(usize, Vec3)> = order
+        .iter()
+        .map(|&ray| (ray, direction(ray)))
+        .filter(|(_, direction)| direction.dot(point.face_normal) > 0.0)
+        .collect();
+    let mut met = Vec::new();
+    for rays in rays.chunks(LANES) {
+        let hits = occluder.hit_many(origin, rays.iter().map(|(_, direction)| *direction));
+        for (&(ray, direction), hit) in rays.iter().zip(hits) {
+            let Some(hit) = hit else { continue };
+            let cos = exit_cosine(mesh, hit.triangle, hit.barycentric, direction);
+            met.extend(cos.map(|cos_there| Hit {
                 triangle: hit.triangle,
                 barycentric: hit.barycentric,
                 weight: scale * PI / RAYS as f32
-                    * brdf.diffuse_transmittance(height)
+                    * brdf.diffuse_transmittance(height_of(ray))
                     * brdf.diffuse_transmittance(cos_there),
-            })
-        })
-        .collect()
+            }));
+        }
+    }
+    met
+}
+
+/// The rays of a gather point in an order in which neighbours go nearly the same way: ring by ring, around.
+fn ring_order() -> [usize; RAYS] {
+    let mut order: [usize; RAYS] = std::array::from_fn(|ray| ray);
+    for ring in order.chunks_mut(RING) {
+        let angle = |ray: usize| (ray as f32 * GOLDEN_ANGLE).rem_euclid(TAU);
+        ring.sort_by(|&a, &b| angle(a).total_cmp(&angle(b)));
+    }
+    order
 }
 
 /// Places on the surface: the mesh's vertices, and where triangles are large a triangular lattice inside each.

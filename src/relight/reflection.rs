@@ -13,7 +13,7 @@ use super::shading::ShadingPoint;
 use crate::capture::Mesh;
 use crate::estimate::Brdf;
 use crate::math::GOLDEN_ANGLE;
-use crate::surface::{Atlas, Occluder};
+use crate::surface::{Atlas, LANES, Occluder};
 
 /// Half vectors of a lobe.
 const RAYS: usize = 12;
@@ -134,21 +134,27 @@ impl Surroundings<'_> {
     ) -> Vec3 {
         let lobe = &self.interreflection.lobe;
         let origin = occluder.offset_origin(point.position, point.face_normal);
-        let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+        let mut rays = [(Vec3::ZERO, 0.0); RAYS];
+        let (mut count, mut total) = (0, 0.0);
         lobe.each(point.normal, view, |light, weight, passes| {
             let weight = weight * passes;
             total += weight;
-            if weight <= 0.0 || light.dot(point.face_normal) <= 0.0 {
-                return;
-            }
-            let Some(hit) = occluder.hit(origin, light) else {
-                return;
-            };
-            if let Some(cos) = exit_cosine(mesh, hit.triangle, hit.barycentric, light) {
-                sum += self.radiance(mesh, hit.triangle, hit.barycentric)
-                    * (weight * lobe.brdf.diffuse_transmittance(cos));
+            if weight > 0.0 && light.dot(point.face_normal) > 0.0 {
+                rays[count] = (light, weight);
+                count += 1;
             }
         });
+        let mut sum = Vec3::ZERO;
+        for rays in rays[..count].chunks(LANES) {
+            let hits = occluder.hit_many(origin, rays.iter().map(|(light, _)| *light));
+            for (&(light, weight), hit) in rays.iter().zip(hits) {
+                let Some(hit) = hit else { continue };
+                if let Some(cos) = exit_cosine(mesh, hit.triangle, hit.barycentric, light) {
+                    sum += self.radiance(mesh, hit.triangle, hit.barycentric)
+                        * (weight * lobe.brdf.diffuse_transmittance(cos));
+                }
+            }
+        }
         if total > 0.0 { sum / total } else { Vec3::ZERO }
     }
 

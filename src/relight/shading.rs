@@ -19,7 +19,7 @@ use super::lighting::{LampNodes, LightNode, Lighting};
 use super::patches::{self, patches};
 use crate::capture::Mesh;
 use crate::estimate::Brdf;
-use crate::surface::Occluder;
+use crate::surface::{LANES, Occluder};
 
 /// Lobes are cut where they have fallen to this part of their peak.
 const LOBE_CUTOFF: f32 = 1e-5;
@@ -434,16 +434,38 @@ impl<'a> Shader<'a> {
         self.brdf.is_some() && self.support.holds(axis, reach, point.normal, view)
     }
 
-    fn ray_is_blocked(
+    /// Casts a ray to each of some nodes of a group and says for its place in the list whether it is blocked; not of those
+    /// behind the surface.
+    fn cast_to(
         &self,
         point: &ShadingPoint,
         origin: Vec3,
         group: &Group,
-        node: usize,
-    ) -> Option<bool> {
-        let (l, _, distance) = group.towards(group.nodes[node].place, point.position);
-        (l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0)
-            .then(|| self.occluder.occluded(origin, l, distance))
+        nodes: &[usize],
+        mut tell: impl FnMut(usize, bool),
+    ) {
+        for (start, nodes) in (0..).step_by(LANES).zip(nodes.chunks(LANES)) {
+            let mut rays = [(Vec3::ZERO, 0.0); LANES];
+            let mut places = [0; LANES];
+            let mut count = 0;
+            for (k, &node) in nodes.iter().enumerate() {
+                let (l, _, distance) = group.towards(group.nodes[node].place, point.position);
+                if l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0 {
+                    rays[count] = (l, distance);
+                    places[count] = start + k;
+                    count += 1;
+                }
+            }
+            let blocked = match count {
+                0 => continue,
+                _ => self
+                    .occluder
+                    .occluded_many(origin, rays[..count].iter().copied()),
+            };
+            for (ray, &place) in places[..count].iter().enumerate() {
+                tell(place, blocked >> ray & 1 == 1);
+            }
+        }
     }
 
     /// Casts the rays that tell how much of a group a point sees.
@@ -456,16 +478,13 @@ impl<'a> Shader<'a> {
             .occluder
             .offset_origin(point.position, point.face_normal);
         let (mut blocked, mut clear) = (0, 0);
-        for &probe in &group.probes {
-            match self.ray_is_blocked(point, origin, group, probe) {
-                Some(true) => blocked += 1,
-                Some(false) => clear += 1,
-                None => {}
+        self.cast_to(point, origin, group, &group.probes, |_, is_blocked| {
+            if is_blocked {
+                blocked += 1;
+            } else {
+                clear += 1;
             }
-            if !group.soft && blocked > 0 && clear > 0 {
-                break;
-            }
-        }
+        });
         if group.soft {
             return Visibility::Fraction(if blocked + clear == 0 {
                 1.0
@@ -482,21 +501,32 @@ impl<'a> Shader<'a> {
 
     /// Which nodes of a group a point sees. Scouts go first; a node among three scouts that agree is as they are.
     fn cast_all(&self, point: &ShadingPoint, origin: Vec3, group: &Group) -> Box<[u64]> {
-        let blocked = |node| self.ray_is_blocked(point, origin, group, node);
-        let scouts: Vec<Option<bool>> = group.scouts.iter().map(|&node| blocked(node)).collect();
+        let mut scouts = vec![None; group.scouts.len()];
+        self.cast_to(point, origin, group, &group.scouts, |scout, blocked| {
+            scouts[scout] = Some(blocked);
+        });
+        let agreed = |node: usize| {
+            let &[a, b, c] = group.among.get(node)?;
+            let first = scouts[usize::from(a)]?;
+            let agree = [b, c]
+                .iter()
+                .all(|&s| scouts[usize::from(s)] == Some(first));
+            agree.then_some(first)
+        };
         let mut bits = vec![0_u64; group.nodes.len().div_ceil(64)].into_boxed_slice();
+        let mut tell = |node: usize, blocked: bool| {
+            bits[node / 64] |= u64::from(!blocked) << (node % 64);
+        };
+        let mut open = Vec::new();
         for node in 0..group.nodes.len() {
-            let agreed = group.among.get(node).and_then(|&[a, b, c]| {
-                let first = scouts[usize::from(a)]?;
-                let agree = [b, c]
-                    .iter()
-                    .all(|&s| scouts[usize::from(s)] == Some(first));
-                agree.then_some(first)
-            });
-            if agreed.or_else(|| blocked(node)) == Some(false) {
-                bits[node / 64] |= 1 << (node % 64);
+            match agreed(node) {
+                Some(blocked) => tell(node, blocked),
+                None => open.push(node),
             }
         }
+        self.cast_to(point, origin, group, &open, |k, blocked| {
+            tell(open[k], blocked);
+        });
         bits
     }
 

@@ -8,16 +8,14 @@ use obvhs::BvhBuildParams;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::builder::build_bvh2;
-use obvhs::ray::{Ray, RayHit};
 use rayon::prelude::*;
 use std::time::Duration;
 
+use super::bundle::{Bundle, LANES, Leaf, Tree};
 use crate::capture::Mesh;
 
 /// Growth of every triangle's box, as a fraction of the object's half diagonal: a flat box would be missed by rounding.
 const BOX_MARGIN: f32 = 1e-6;
-/// How far outside a triangle, in barycentric units, a ray still hits it: neighbours must not leave a crack.
-const EDGE_TOLERANCE: f32 = 1e-6;
 /// Distance by which a ray's origin is lifted off the surface, as a fraction of the object's half diagonal: some
 /// hundred times the rounding error of a position, and far below a pixel's footprint.
 const ORIGIN_LIFT: f32 = 2e-5;
@@ -57,44 +55,16 @@ enum Step {
     Close(usize),
 }
 
-/// One triangle as the traversal reads it: a corner and the two edges from it.
-#[derive(Clone, Copy, Debug)]
-struct Leaf {
-    corner: Vec3,
-    edge1: Vec3,
-    edge2: Vec3,
-    triangle: u32,
-}
-
 /// The mesh prepared for ray casts.
 pub struct Occluder {
     bvh: Bvh2,
+    /// Levels of the hierarchy.
+    depth: usize,
     /// In the order of the hierarchy's leaves.
     leaves: Vec<Leaf>,
     centre: Vec3,
     /// Mesh units per internal unit.
     scale: f32,
-}
-
-impl Leaf {
-    /// Distance and barycentric weights where the ray meets the triangle's front or back (Möller and Trumbore 1997).
-    #[inline]
-    fn meet(&self, origin: Vec3, direction: Vec3) -> Option<(f32, f32, f32)> {
-        let p = direction.cross(self.edge2);
-        let det = self.edge1.dot(p);
-        if det == 0.0 {
-            return None;
-        }
-        let inverse = 1.0 / det;
-        let from_corner = origin - self.corner;
-        let b1 = from_corner.dot(p) * inverse;
-        let q = from_corner.cross(self.edge1);
-        let b2 = direction.dot(q) * inverse;
-        let inside =
-            b1 >= -EDGE_TOLERANCE && b2 >= -EDGE_TOLERANCE && b1 + b2 <= 1.0 + EDGE_TOLERANCE;
-        // Not `inside` also where a weight is NaN: a sliver seen edge-on.
-        inside.then(|| (self.edge2.dot(q) * inverse, b1, b2))
-    }
 }
 
 impl Occluder {
@@ -125,11 +95,12 @@ impl Occluder {
         } else {
             BvhBuildParams::medium_build()
         };
-        let mut bvh = build_bvh2(&boxes, parameters, &mut Duration::default());
-        if !bvh.nodes.is_empty() {
-            // The traversal's stack has room for 96 unless told otherwise, and panics beyond.
-            bvh.max_depth = bvh.max_depth.max(bvh.depth(0) + 2);
-        }
+        let bvh = build_bvh2(&boxes, parameters, &mut Duration::default());
+        let depth = if bvh.nodes.is_empty() {
+            0
+        } else {
+            bvh.depth(0)
+        };
         let leaves = bvh
             .primitive_indices
             .iter()
@@ -145,26 +116,34 @@ impl Occluder {
             .collect();
         Self {
             bvh,
+            depth,
             leaves,
             centre,
             scale,
         }
     }
 
+    fn tree(&self) -> Tree<'_> {
+        Tree {
+            nodes: &self.bvh.nodes,
+            leaves: &self.leaves,
+            depth: self.depth,
+        }
+    }
+
     /// Whether anything lies between `origin` and `max_distance` (mesh units, may be infinite) along the unit `direction`.
     pub fn occluded(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> bool {
+        self.occluded_many(origin, [(direction, max_distance)]) != 0
+    }
+
+    /// [`Occluder::occluded`] for up to [`LANES`] rays from one point, each with its unit direction and greatest distance; a
+    /// bit for each. Rays that go nearly the same way cost little more than one of them.
+    pub fn occluded_many(&self, origin: Vec3, rays: impl IntoIterator<Item = (Vec3, f32)>) -> u8 {
         let from = (origin - self.centre) / self.scale;
-        let reach = max_distance / self.scale;
-        if !from.is_finite() || !direction.is_finite() {
-            return false;
-        }
-        let ray = Ray::new(from.into(), direction.into(), 0.0, reach);
-        !self.bvh.ray_traverse_miss(ray, |_, leaf| {
-            match self.leaves[leaf].meet(from, direction) {
-                Some((t, ..)) if t > 0.0 => t,
-                _ => f32::INFINITY,
-            }
-        })
+        let rays = rays.into_iter().map(|(d, reach)| (d, reach / self.scale));
+        let mut bundle = Bundle::new(from, rays);
+        bundle.find_any(self.tree());
+        bundle.blocked()
     }
 
     /// The hierarchy for a walk without a stack, with its list of triangles.
@@ -204,35 +183,28 @@ impl Occluder {
 
     /// The first point of the surface, front or back, along the unit `direction`.
     pub fn hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
+        let [hit, ..] = self.hit_many(origin, [direction]);
+        hit
+    }
+
+    /// [`Occluder::hit`] for up to [`LANES`] rays from one point.
+    pub fn hit_many(
+        &self,
+        origin: Vec3,
+        directions: impl IntoIterator<Item = Vec3>,
+    ) -> [Option<Hit>; LANES] {
         let from = (origin - self.centre) / self.scale;
-        if !from.is_finite() || !direction.is_finite() {
-            return None;
-        }
-        let ray = Ray::new_inf(from.into(), direction.into());
-        let mut nearest: Option<Hit> = None;
-        let mut distance = f32::INFINITY;
-        self.bvh.ray_traverse(ray, &mut RayHit::none(), |_, index| {
-            let leaf = &self.leaves[index];
-            let Some((t, b1, b2)) = leaf.meet(from, direction) else {
-                return f32::INFINITY;
-            };
-            if t <= 0.0 {
-                return f32::INFINITY;
-            }
-            // Of two at one distance the lower index, so that the tree's shape does not show.
-            let nearer = t < distance
-                || (t == distance && nearest.is_none_or(|hit| leaf.triangle < hit.triangle));
-            if nearer {
-                distance = t;
-                nearest = Some(Hit {
-                    triangle: leaf.triangle,
-                    barycentric: Vec2::new(b1, b2),
-                    distance: t * self.scale,
-                });
-            }
-            t
-        });
-        nearest
+        let rays = directions.into_iter().map(|d| (d, f32::INFINITY));
+        let mut bundle = Bundle::new(from, rays);
+        bundle.find_nearest(self.tree());
+        std::array::from_fn(|lane| {
+            let met = bundle.met(lane)?;
+            Some(Hit {
+                triangle: met.triangle,
+                barycentric: met.barycentric,
+                distance: met.distance * self.scale,
+            })
+        })
     }
 
     /// `position` lifted off the surface along `normal` (unit, on the side the ray leaves to), far enough that a ray

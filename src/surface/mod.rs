@@ -1,6 +1,7 @@
 //! Where it was measured: which point of the surface each pixel shows, and a texture for any mesh.
 
 mod atlas;
+mod bundle;
 mod bvh;
 mod charts;
 mod fairing;
@@ -8,6 +9,7 @@ mod texture;
 mod visible;
 
 pub use atlas::{Atlas, LARGEST_SIDE, Texel};
+pub use bundle::LANES;
 pub use bvh::{Hit, Occluder, WalkNode};
 pub use fairing::{Fairing, area_vectors};
 pub use texture::{
