@@ -14,6 +14,8 @@ use rekindle::estimate::cells::{Cell, Pyramid};
 use rekindle::estimate::design::{Design, NormalEquations};
 use rekindle::estimate::lobes::CellLobes;
 use rekindle::estimate::observations::{Observations, Sampling, Seen};
+use rekindle::estimate::visibility::SeenCells;
+use rekindle::estimate::workspace::Workspace;
 use rekindle::estimate::{Brdf, Shortcuts, SpecularModel};
 use rekindle::hemisphere::HemisphereGrid;
 use rekindle::math::nnls::{self, NnlsParams};
@@ -39,6 +41,7 @@ const BRDF: Brdf = Brdf {
     sigma: 0.08,
 };
 
+static WORKSPACE: Workspace = Workspace::new();
 static NEVER: AtomicBool = AtomicBool::new(false);
 static SHORTCUTS: LazyLock<Shortcuts> = LazyLock::new(Shortcuts::default);
 static DEMO: LazyLock<Demo> = LazyLock::new(Demo::new);
@@ -159,9 +162,10 @@ fn equations() -> NormalEquations {
         observations: &OBSERVATIONS,
         geometry: DEMO.pyramid.geometry(&CELLS),
         near: None,
-        visibility: Vec::new(),
+        seen: SeenCells::default(),
         diffuse_known: false,
         shortcuts: &SHORTCUTS,
+        workspace: &WORKSPACE,
         stop: &NEVER,
     };
     design.normal_equations(&BRDF, &vec![1.0; OBSERVATIONS.rows.len()])

@@ -18,7 +18,7 @@ use super::model::{Brdf, SpecularModel};
 use super::observations::{Observations, Sampling};
 use super::observer::{Iteration, Stopped, go_on};
 use super::total_variation::TotalVariation;
-use super::visibility::cell_visibility;
+use super::visibility::{SeenCells, cell_visibility};
 use super::weights::{
     Residuals, magnitude, median, robust_objective, robust_weights, weighted_rms,
 };
@@ -122,12 +122,13 @@ pub fn solve(
         observations: &observations,
         geometry: solver.pyramid.geometry(&cells),
         near: solver.near,
-        visibility: Vec::new(),
+        seen: SeenCells::default(),
         diffuse_known: true,
         shortcuts: solver.shortcuts,
+        workspace: solver.workspace,
         stop: solver.stop,
     };
-    design.visibility = cell_visibility(&design, solver.pyramid, &cells, &brdf, solver.occluder);
+    design.seen = cell_visibility(&design, solver.pyramid, &cells, &brdf, solver.occluder);
     let variation = TotalVariation::new(solver.pyramid, &cells);
     let mut state = Alternation::new(design, terms, variation, brdf, start);
     let dark = state.dark_sum();

@@ -17,6 +17,8 @@ use super::lobes::{CellLobes, PointLobes};
 use super::model::Brdf;
 use super::observations::{Observations, Point};
 use super::shortcuts::{Shortcut, Shortcuts};
+use super::visibility::SeenCells;
+use super::workspace::Workspace;
 use crate::math::vector;
 
 /// Points are always cut into this many runs, so that sums come out the same on any number of threads.
@@ -40,12 +42,14 @@ pub struct Design<'a> {
     pub geometry: CellGeometry,
     /// Centre and radius of the hemisphere where it is finite.
     pub near: Option<(Vec3, f32)>,
-    /// Share of each cell that each point sees, point by point; empty if all is taken as seen.
-    pub visibility: Vec<f32>,
+    /// Share of each cell that each point sees.
+    pub seen: SeenCells,
     /// Whether the rows' diffuse part has been subtracted already, so that nothing is left to eliminate.
     pub diffuse_known: bool,
     /// What may be left out.
     pub shortcuts: &'a Shortcuts,
+    /// Memory for the equations.
+    pub workspace: &'a Workspace,
     /// Once this is set, long sums end where they are, and what they give is of no use.
     pub stop: &'a AtomicBool,
 }
@@ -85,10 +89,8 @@ impl Design<'_> {
 
     /// Computes the light of all cells at a point.
     fn light(&self, lobes: &CellLobes<'_>, index: usize, out: &mut PointLobes) {
-        let n = self.cells();
         let point = &self.observations.points[index];
-        let visibility = self.visibility.get(index * n..(index + 1) * n);
-        lobes.light(point.position, point.normal, visibility, out);
+        lobes.light(point.position, point.normal, self.seen.of(index), out);
     }
 
     fn lobes(&self, brdf: &Brdf) -> CellLobes<'_> {
@@ -115,6 +117,9 @@ impl Design<'_> {
                 sums
             })
             .collect();
+        for part in parts {
+            self.workspace.take_back(part.values);
+        }
         let mut gram = Mat::<f64>::zeros(n, n);
         let mut rhs = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
         for (j, sums) in columns.into_iter().enumerate() {
@@ -141,7 +146,11 @@ impl Design<'_> {
         last: usize,
     ) -> Lower {
         let width = self.cells() + 3;
-        let mut gram = Lower::new(width);
+        let mut gram = Lower {
+            values: self.workspace.zeros(width * width),
+            n: width,
+            product: Vec::new(),
+        };
         let mut light = lobes.point();
         let mut block: Vec<f32> = Vec::new();
         for start in (first..last).step_by(BLOCK) {
@@ -201,7 +210,6 @@ impl Design<'_> {
     /// The same points with some of the cells only.
     #[must_use]
     pub fn restricted(&self, kept: &[usize]) -> Self {
-        let n = self.cells();
         let pick = |values: &[f32]| kept.iter().map(|&c| values[c]).collect();
         Self {
             geometry: CellGeometry {
@@ -209,11 +217,7 @@ impl Design<'_> {
                 solid_angles: pick(&self.geometry.solid_angles),
                 spread: pick(&self.geometry.spread),
             },
-            visibility: self
-                .visibility
-                .par_chunks(n.max(1))
-                .flat_map_iter(|v| kept.iter().map(|&c| v[c]))
-                .collect(),
+            seen: self.seen.restricted(kept),
             ..self.clone()
         }
     }
@@ -379,14 +383,6 @@ struct Lower {
 }
 
 impl Lower {
-    fn new(n: usize) -> Self {
-        Self {
-            values: vec![0.0; n * n],
-            n,
-            product: Vec::new(),
-        }
-    }
-
     fn column(&self, j: usize) -> &[f64] {
         &self.values[j * self.n..(j + 1) * self.n]
     }

@@ -23,7 +23,8 @@ use super::shortcuts::{Shortcut, Shortcuts};
 use super::spread::even_out;
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
 use super::support::drop_unsupported;
-use super::visibility::cell_visibility;
+use super::visibility::{SeenCells, cell_visibility};
+use super::workspace::Workspace;
 use crate::hemisphere::HemisphereGrid;
 use crate::surface::Occluder;
 
@@ -113,6 +114,8 @@ pub struct Solver<'a> {
     pub started: Instant,
     /// What may be left out.
     pub shortcuts: &'a Shortcuts,
+    /// Memory for its equations.
+    pub workspace: &'a Workspace,
     /// Set once the observer wants no more.
     pub stop: &'a AtomicBool,
 }
@@ -355,9 +358,10 @@ impl Solver<'_> {
             observations,
             geometry: self.pyramid.geometry(cells),
             near: self.near,
-            visibility: Vec::new(),
+            seen: SeenCells::default(),
             diffuse_known: false,
             shortcuts: self.shortcuts,
+            workspace: self.workspace,
             stop: self.stop,
         }
     }
@@ -470,7 +474,7 @@ impl Solver<'_> {
         brdf: &Brdf,
     ) -> Design<'s> {
         let mut design = self.design(observations, cells);
-        design.visibility = cell_visibility(&design, self.pyramid, cells, brdf, self.occluder);
+        design.seen = cell_visibility(&design, self.pyramid, cells, brdf, self.occluder);
         design
     }
 

@@ -7,6 +7,7 @@ use glam::Vec3;
 
 use super::cells::CellGeometry;
 use super::model::{Brdf, SpecularModel, ViewTerms};
+use super::visibility::SeenFrom;
 
 /// A lobe is taken as zero below this share of its peak.
 const CUTOFF: f32 = 1e-7;
@@ -116,20 +117,20 @@ impl<'a> CellLobes<'a> {
         }
     }
 
-    /// Computes the light at `position` with the unit `normal`; `visibility` holds the seen share of each cell, and
-    /// everything is seen without it. `out` is of [`CellLobes::point`], used with these lobes alone.
+    /// Computes the light at `position` with the unit `normal`; `seen` holds the seen share of each cell, and everything is
+    /// seen without it. `out` is of [`CellLobes::point`], used with these lobes alone.
     pub fn light(
         &self,
         position: Vec3,
         normal: Vec3,
-        visibility: Option<&[f32]>,
+        seen: Option<SeenFrom<'_>>,
         out: &mut PointLobes,
     ) {
         let solid_angles = &self.geometry.solid_angles;
         let strength = &mut out.strength[..solid_angles.len()];
-        match visibility {
+        match seen {
             Some(seen) => {
-                for ((s, w), m) in strength.iter_mut().zip(solid_angles).zip(seen) {
+                for ((s, w), m) in strength.iter_mut().zip(solid_angles).zip(seen.shares()) {
                     *s = w * m;
                 }
             }

@@ -21,8 +21,9 @@ mod spread;
 mod state;
 mod support;
 mod total_variation;
-mod visibility;
+pub mod visibility;
 mod weights;
+pub mod workspace;
 
 #[cfg(test)]
 mod tests;
@@ -48,6 +49,7 @@ pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 use relief::Bench;
 pub use relief::RefinedSurface;
 pub use shortcuts::{LeftOut, Shortcut, ShortcutSet, Shortcuts};
+use workspace::Workspace;
 
 /// How the minimum is sought.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -222,6 +224,7 @@ fn run(
         views: &input.capture.views,
         surfaces: input.surfaces,
     };
+    let workspace = Workspace::new();
     let solver = Solver {
         seen,
         occluder: input.occluder,
@@ -231,6 +234,7 @@ fn run(
         coarse: Solver::coarse_observations(&seen, None, stop),
         started: start.clock,
         shortcuts,
+        workspace: &workspace,
         stop,
     };
     let mut result = Estimate {

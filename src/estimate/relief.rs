@@ -27,7 +27,7 @@ use super::model::Brdf;
 use super::observations::{Observations, Point, Seen};
 use super::observer::{Stopped, go_on};
 use super::state::ROUGH;
-use super::visibility::cell_visibility;
+use super::visibility::{SeenCells, cell_visibility};
 use super::weights::{eliminate, mean_weights, residuals};
 use super::{SpecularChoice, choose};
 use crate::capture::{Mesh, View};
@@ -548,9 +548,10 @@ fn design<'o>(solver: &Solver<'o>, lamps: &Lamps, observations: &'o Observations
         observations,
         geometry: lamps.geometry(),
         near: solver.near,
-        visibility: Vec::new(),
+        seen: SeenCells::default(),
         diffuse_known: false,
         shortcuts: solver.shortcuts,
+        workspace: solver.workspace,
         stop: solver.stop,
     };
     let around: Vec<Cell> = lamps
@@ -558,7 +559,7 @@ fn design<'o>(solver: &Solver<'o>, lamps: &Lamps, observations: &'o Observations
         .iter()
         .map(|&d| solver.pyramid.root_at(d))
         .collect();
-    design.visibility = cell_visibility(
+    design.seen = cell_visibility(
         &design,
         solver.pyramid,
         &around,

@@ -14,11 +14,13 @@ use super::cells::{Cell, Pyramid};
 use super::design::Design;
 use super::observations::{Observations, Point, Row};
 use super::state::{EXACT, State};
+use super::visibility::SeenCells;
 use super::*;
 use crate::capture::read_radiance;
 use crate::hemisphere::{Lamp, find_lamps};
 
 static NEVER: AtomicBool = AtomicBool::new(false);
+static WORKSPACE: Workspace = Workspace::new();
 static SHORTCUTS: LazyLock<Shortcuts> = LazyLock::new(Shortcuts::default);
 
 fn load() -> Capture {
@@ -363,9 +365,10 @@ fn design<'a>(observations: &'a Observations, pyramid: &Pyramid, cells: &[Cell])
         observations,
         geometry: pyramid.geometry(cells),
         near: None,
-        visibility: Vec::new(),
+        seen: SeenCells::default(),
         diffuse_known: false,
         shortcuts: &SHORTCUTS,
+        workspace: &WORKSPACE,
         stop: &NEVER,
     }
 }

@@ -1,6 +1,7 @@
 //! Which cells a surface point sees past the rest of the object.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use glam::Vec3;
@@ -25,7 +26,65 @@ struct Group {
     around: Vec<usize>,
 }
 
-/// Share of each cell that each point of the design sees, 0 or 1, point by point.
+/// What share of each cell each point sees.
+#[derive(Clone, Debug, Default)]
+pub struct SeenCells {
+    /// The shares of all cells that there were, point by point; without any, everything is seen.
+    shares: Arc<Vec<f32>>,
+    /// How many cells there were.
+    width: usize,
+    /// Which of these the cells are.
+    columns: Vec<u32>,
+}
+
+/// What a point sees of the cells.
+#[derive(Clone, Copy, Debug)]
+pub struct SeenFrom<'a> {
+    shares: &'a [f32],
+    columns: &'a [u32],
+}
+
+impl SeenCells {
+    /// Shares of `width` cells, point by point.
+    fn new(shares: Vec<f32>, width: usize) -> Self {
+        Self {
+            shares: Arc::new(shares),
+            width,
+            columns: (0..width as u32).collect(),
+        }
+    }
+
+    /// What a point sees; `None` where that is everything.
+    pub(super) fn of(&self, point: usize) -> Option<SeenFrom<'_>> {
+        let first = point * self.width;
+        let shares = self.shares.get(first..first + self.width);
+        let columns = &self.columns;
+        shares
+            .filter(|shares| !shares.is_empty())
+            .map(|shares| SeenFrom { shares, columns })
+    }
+
+    /// The same of some of the cells.
+    pub(super) fn restricted(&self, kept: &[usize]) -> Self {
+        let columns = kept.iter().filter_map(|&cell| self.columns.get(cell));
+        Self {
+            shares: Arc::clone(&self.shares),
+            width: self.width,
+            columns: columns.copied().collect(),
+        }
+    }
+}
+
+impl<'a> SeenFrom<'a> {
+    /// The share of each cell, in [0, 1].
+    pub(super) fn shares(self) -> impl Iterator<Item = f32> + 'a {
+        self.columns
+            .iter()
+            .map(move |&column| self.shares[column as usize])
+    }
+}
+
+/// Share of each cell that each point of the design sees, 0 or 1.
 ///
 /// Cells are tested in groups about as wide as a cell of the next coarser level: where a group and those around it
 /// agree, its cells follow, and only at the edge of a shadow does each cell get its own ray. Where no row of a point
@@ -36,12 +95,12 @@ pub fn cell_visibility(
     cells: &[Cell],
     brdf: &Brdf,
     occluder: &Occluder,
-) -> Vec<f32> {
+) -> SeenCells {
     let groups = group(pyramid, cells, &design.geometry.directions);
     let support = brdf.half_angle_support(NEGLIGIBLE) + 0.5 * groups.reach;
     let n = cells.len();
-    let mut visibility = vec![1.0_f32; design.observations.points.len() * n];
-    visibility
+    let mut shares = vec![1.0_f32; design.observations.points.len() * n];
+    shares
         .par_chunks_mut(n.max(1))
         .enumerate()
         .for_each(|(index, out)| {
@@ -58,7 +117,7 @@ pub fn cell_visibility(
             let left_out = n.saturating_sub(rays);
             design.shortcuts.count(Shortcut::ShadowRays, n, left_out);
         });
-    visibility
+    SeenCells::new(shares, n)
 }
 
 /// A surface point that looks for the cells.
