@@ -5,6 +5,7 @@
 //! point's rows; putting it back subtracts from each row t_v times that mean, of a and of y alike. What remains is
 //! linear in L alone.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use faer::linalg::matmul::triangular::{BlockStructure, matmul};
@@ -112,7 +113,7 @@ impl Design<'_> {
             .map(|j| {
                 let mut sums = vec![0.0; n + 3 - j];
                 for part in &parts {
-                    add(&mut sums, &part.column(j)[j..]);
+                    add(&mut sums, part.column(j));
                 }
                 sums
             })
@@ -147,7 +148,7 @@ impl Design<'_> {
     ) -> Lower {
         let width = self.cells() + 3;
         let mut gram = Lower {
-            values: self.workspace.zeros(width * width),
+            values: self.workspace.zeros(width * (width + 1) / 2),
             n: width,
             product: Vec::new(),
         };
@@ -375,7 +376,7 @@ fn compress(block: &[f32], width: usize) -> (Vec<usize>, Vec<f32>) {
 
 /// The lower half of a symmetric matrix in the making.
 struct Lower {
-    /// Column by column, n × n; the upper half is not used.
+    /// Column by column, each from the diagonal down.
     values: Vec<f64>,
     n: usize,
     /// Room for a block's product.
@@ -383,8 +384,14 @@ struct Lower {
 }
 
 impl Lower {
+    /// Where a column is: those before it have n, n − 1, … values.
+    fn place(&self, j: usize) -> Range<usize> {
+        let first = j * self.n - j * j.saturating_sub(1) / 2;
+        first..first + self.n - j
+    }
+
     fn column(&self, j: usize) -> &[f64] {
-        &self.values[j * self.n..(j + 1) * self.n]
+        &self.values[self.place(j)]
     }
 
     /// Adds `blockᵀ block`; `block` holds rows of the values of `columns`, which ascend. A block's products are summed in
@@ -406,13 +413,14 @@ impl Lower {
             Par::Seq,
         );
         for (j, &column) in columns.iter().enumerate() {
-            let sum = &mut self.values[column * n..(column + 1) * n];
+            let place = self.place(column);
+            let sums = &mut self.values[place];
             let product = &self.product[j * m..(j + 1) * m];
             if m == n {
-                add(&mut sum[j..], &product[j..]);
+                add(sums, &product[j..]);
             } else {
                 for (&i, &p) in columns[j..].iter().zip(&product[j..]) {
-                    sum[i] += f64::from(p);
+                    sums[i - column] += f64::from(p);
                 }
             }
         }
