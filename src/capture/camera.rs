@@ -198,7 +198,11 @@ impl Camera {
     /// Pixel coordinates of a world point, `None` where it lies behind the camera or so far outside the field of
     /// view that the distortion model no longer applies.
     pub fn project(&self, world: DVec3) -> Option<DVec2> {
-        let c = self.to_camera(world);
+        self.project_from_camera(self.to_camera(world))
+    }
+
+    /// [`Camera::project`] of a point in camera space.
+    pub fn project_from_camera(&self, c: DVec3) -> Option<DVec2> {
         let depth = -c.z;
         if depth <= 1e-12 {
             return None;

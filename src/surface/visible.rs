@@ -10,6 +10,7 @@
 use glam::{DVec2, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
+use super::bundle::LANES;
 use super::bvh::Occluder;
 use crate::capture::{Camera, Mesh, SurfacePoint};
 
@@ -202,18 +203,24 @@ fn cast(occluder: &Occluder, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
     let origin = camera.position().as_vec3();
     let forward = camera.forward();
     let width = camera.width as usize;
-    (0..width * camera.height as usize)
+    let pixels = width * camera.height as usize;
+    (0..pixels.div_ceil(LANES))
         .into_par_iter()
-        .map(|pixel| {
-            let centre = pixel_centre((pixel % width) as u32, (pixel / width) as u32);
-            let direction = camera.ray(centre);
-            match occluder.hit(origin, direction.as_vec3()) {
+        .flat_map_iter(|bundle| {
+            let pixels = bundle * LANES..((bundle + 1) * LANES).min(pixels);
+            let directions: Vec<DVec3> = pixels
+                .map(|p| camera.ray(pixel_centre((p % width) as u32, (p / width) as u32)))
+                .collect();
+            let hits = occluder.hit_many(origin, directions.iter().map(|d| d.as_vec3()));
+            let seen = directions.into_iter().zip(hits);
+            seen.map(|(direction, hit)| match hit {
                 Some(hit) => (
                     hit.triangle,
                     (f64::from(hit.distance) * direction.dot(forward)) as f32,
                 ),
                 None => (NO_TRIANGLE, f32::INFINITY),
-            }
+            })
+            .collect::<Vec<_>>()
         })
         .unzip()
 }
@@ -229,10 +236,10 @@ pub fn front_most(mesh: &Mesh, occluder: &Occluder, camera: &Camera) -> (Vec<u32
 
 /// Weights of the second and third corner of `triangle` where the ray through a pixel's centre meets its plane.
 pub fn barycentric_at(mesh: &Mesh, camera: &Camera, triangle: u32, x: u32, y: u32) -> Option<Vec2> {
-    let ray = unit_depth_ray(camera, pixel_centre(x, y));
-    let [a, b, c] = mesh
-        .corners(triangle)
-        .map(|p| camera.to_camera(p.as_dvec3()));
+    let pose = &camera.world_from_camera;
+    let ray = pose.matrix3 * unit_depth_ray(camera, pixel_centre(x, y));
+    let corners = mesh.corners(triangle);
+    let [a, b, c] = corners.map(|p| p.as_dvec3() - pose.translation);
     let weights = DVec3::new(
         b.cross(c).dot(ray),
         c.cross(a).dot(ray),
@@ -350,19 +357,16 @@ impl ViewSurface {
     /// Where the view shows the world point `position`, in pixel coordinates: `None` unless it is the front-most surface
     /// there and the four pixels that a bilinear look-up reads show one piece of surface.
     pub fn sees(&self, camera: &Camera, position: Vec3) -> Option<DVec2> {
-        let world = position.as_dvec3();
-        let at = camera.project(world)?;
+        let in_camera = camera.to_camera(position.as_dvec3());
+        let at = camera.project_from_camera(in_camera)?;
         let corner = at - 0.5;
-        let (x, y) = (corner.x.floor(), corner.y.floor());
-        if !(x >= 0.0
-            && y >= 0.0
-            && x + 1.0 < f64::from(self.width)
-            && y + 1.0 < f64::from(self.height))
-        {
+        let last = DVec2::new(f64::from(self.width) - 1.0, f64::from(self.height) - 1.0);
+        if !(corner.cmpge(DVec2::ZERO).all() && corner.cmplt(last).all()) {
             return None;
         }
+        let (x, y) = (corner.x as usize, corner.y as usize);
         let width = self.width as usize;
-        let p = y as usize * width + x as usize;
+        let p = y * width + x;
         let one_piece = self.joined[p][0]
             && self.joined[p][1]
             && self.joined[p + 1][1]
@@ -370,9 +374,9 @@ impl ViewSurface {
         if !one_piece {
             return None;
         }
-        let z = -camera.to_camera(world).z;
+        let z = -in_camera.z;
         let depths = [p, p + 1, p + width, p + width + 1].map(|q| f64::from(self.depth[q]));
-        let (fx, fy) = (corner.x - x, corner.y - y);
+        let (fx, fy) = (corner.x - x as f64, corner.y - y as f64);
         // Inverse depth is linear across a plane's image.
         let top = (1.0 - fx) / depths[0] + fx / depths[1];
         let bottom = (1.0 - fx) / depths[2] + fx / depths[3];
