@@ -1,6 +1,7 @@
 //! Numbers without the digits that say nothing.
 
 use half::f16;
+use rayon::prelude::*;
 
 /// Largest magnitude of numbers that are rounded to half floats, and the least that the largest of them must have: below
 /// it, many would be subnormal.
@@ -12,15 +13,15 @@ const BEYOND: u32 = 13;
 /// size of a file that is compressed without loss. Where half floats have the range for all of them, they are such
 /// afterwards.
 pub fn round_to_halves(values: &mut [f32]) {
-    let largest = values.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+    let largest = values.par_iter().map(|v| v.abs()).reduce(|| 0.0, f32::max);
     let fit = (HALVES[0]..=HALVES[1]).contains(&largest);
-    for value in values {
+    values.par_iter_mut().for_each(|value| {
         *value = if fit {
             f16::from_f32(*value).to_f32()
         } else {
             to_11_bits(*value)
         };
-    }
+    });
 }
 
 fn to_11_bits(value: f32) -> f32 {

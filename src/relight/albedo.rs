@@ -53,24 +53,31 @@ pub fn separate(
     let places = Places::new(scene.mesh);
     let ambient = add_ambient(scene, atlas, &places, texture, &mut irradiance);
     let typical = typical_irradiance(atlas, &irradiance);
+    // The quotient at each texel, and how far it is known, 0 to 1.
+    let quotients: Vec<(Vec3, f32)> = atlas
+        .texels
+        .par_iter()
+        .map(|texel| {
+            let t = texel.index as usize;
+            let light = irradiance[t].element_sum() / 3.0;
+            let part = ((light / typical - DARK) / (LIT - DARK)).clamp(0.0, 1.0);
+            if texture.confidence[t] < SEEN || part <= 0.0 {
+                return (Vec3::ZERO, 0.0);
+            }
+            let albedo = quotient(texture.radiance[t].into(), irradiance[t]);
+            (albedo, part * part * (3.0 - 2.0 * part))
+        })
+        .collect();
     let texels = texture.radiance.len();
     let mut albedo = vec![Vec3::ZERO; texels];
-    // How far the quotient is known, 0 to 1.
     let mut known = vec![0.0_f32; texels];
-    for texel in &atlas.texels {
-        let t = texel.index as usize;
-        if texture.confidence[t] < SEEN {
-            continue;
-        }
-        let light = irradiance[t].element_sum() / 3.0;
-        let part = ((light / typical - DARK) / (LIT - DARK)).clamp(0.0, 1.0);
-        if part > 0.0 {
-            albedo[t] = quotient(texture.radiance[t].into(), irradiance[t]);
-            known[t] = part * part * (3.0 - 2.0 * part);
-        }
+    for (texel, (quotient, part)) in atlas.texels.iter().zip(quotients) {
+        albedo[texel.index as usize] = quotient;
+        known[texel.index as usize] = part;
     }
-    let weight = |t: usize| known[t] * texture.confidence[t];
-    let filled = fill(scene.mesh, &places, atlas, &albedo, &weight);
+    let confidence = &texture.confidence;
+    let weight = |t: usize| known[t] * confidence[t];
+    let filled = fill(scene.mesh, &places, atlas, &albedo, weight);
     for (texel, fill) in atlas.texels.iter().zip(filled) {
         let t = texel.index as usize;
         albedo[t] = albedo[t] * known[t] + fill * (1.0 - known[t]);
@@ -115,15 +122,15 @@ fn add_ambient(
         }
         Vec3::splat(2.0 * mean.value().element_sum() / 3.0)
     } else {
-        let light = |t: usize| irradiance[t];
+        let both = |t: usize| [radiance(t), irradiance[t]];
         let lit: Vec<Option<Lit>> = places
-            .gather(scene.mesh, atlas, &radiance, &weight)
+            .gather(scene.mesh, atlas, both, weight)
             .into_iter()
-            .zip(places.gather(scene.mesh, atlas, &light, &weight))
-            .map(|(radiance, irradiance)| {
+            .map(|means| {
+                let [radiance, irradiance] = means?;
                 Some(Lit {
-                    radiance: radiance?,
-                    irradiance: irradiance?,
+                    radiance,
+                    irradiance,
                 })
             })
             .collect();

@@ -34,10 +34,12 @@ const BASE_ERROR: f32 = 0.01;
 const MIXED_WEIGHT: f32 = 0.05;
 /// Residuals beyond this many standard deviations lose their weight (Tukey's biweight).
 const OUTLIER: f32 = 6.0;
-/// Views share this many accumulators, so that memory does not grow with their number, …
+/// Accumulators, each for an equal part of every view, …
 const ACCUMULATORS: usize = 4;
 /// … and fewer where they would have more sums than these together.
 const MOST_SUMS: usize = 32 << 20;
+/// Pixels that tell a median.
+const ENOUGH_PIXELS: usize = 1 << 20;
 /// Weight, in fully trusted pixels, at which a texel's confidence is one half.
 const HALF_CONFIDENCE: f32 = 0.1;
 
@@ -99,15 +101,13 @@ pub fn reconstruct(
 ) -> DiffuseTexture {
     let factor = sampling_factor(views);
     let typical = typical_radiance(views);
-    let mut footprints: Vec<Footprints> = views
-        .iter()
-        .map(|view| Footprints::trace(scene, view, atlas, shader, factor, typical))
-        .collect();
+    let trace = |view| Footprints::trace(scene, view, atlas, shader, factor, typical);
+    let mut footprints: Vec<Footprints> = views.iter().map(trace).collect();
     let texels = (atlas.width * atlas.height) as usize;
     let size = [atlas.width as usize, atlas.height as usize];
 
     let accumulators = ACCUMULATORS.min(MOST_SUMS / texels.max(1)).max(1);
-    let mut sums = Sums::new(views.len().min(accumulators), texels);
+    let mut sums = Sums::new(accumulators, texels);
     sums.scatter(&footprints, size, |view, i| {
         let f = &footprints[view];
         f.target[i] / f.covered(i)
@@ -123,18 +123,23 @@ pub fn reconstruct(
             break;
         }
         if iteration == 1 {
-            for f in &mut footprints {
-                let residuals: Vec<Vec3> = (0..f.pixels.len())
-                    .into_par_iter()
-                    .map(|i| f.residual(i, &texture, size))
-                    .collect();
-                f.distrust_outliers(&residuals, typical);
-            }
+            let residuals: Vec<Vec<Vec3>> = footprints
+                .iter_mut()
+                .map(|f| {
+                    let residuals = f.residuals(&texture, size);
+                    f.distrust_outliers(&residuals, typical);
+                    residuals
+                })
+                .collect();
+            sums.scatter(&footprints, size, |view, i| {
+                residuals[view][i] / footprints[view].covered(i)
+            });
+        } else {
+            sums.scatter(&footprints, size, |view, i| {
+                let f = &footprints[view];
+                f.residual(i, &texture, size) / f.covered(i)
+            });
         }
-        sums.scatter(&footprints, size, |view, i| {
-            let f = &footprints[view];
-            f.residual(i, &texture, size) / f.covered(i)
-        });
         texture
             .par_iter_mut()
             .zip(&sums.total)
@@ -172,11 +177,15 @@ fn sampling_factor(views: &[View]) -> u32 {
         .unwrap_or(1)
 }
 
-/// Median over all views of the positive mean-RGB radiances.
+/// Median over all views, of large ones over some of the pixels, of the positive mean-RGB radiances.
 fn typical_radiance(views: &[View]) -> f32 {
+    let pixels: usize = views.iter().map(|v| v.photograph.usable.len()).sum();
+    // Odd, so that it does not fall on the same columns in every row.
+    let step = pixels.div_ceil(ENOUGH_PIXELS) | 1;
     let mut values: Vec<f32> = views
         .iter()
         .flat_map(|v| v.photograph.radiance.iter().zip(&v.photograph.usable))
+        .step_by(step)
         .filter(|(_, usable)| **usable)
         .map(|(p, _)| p.iter().sum::<f32>() / 3.0)
         .filter(|&m| m > 0.0)
@@ -194,10 +203,10 @@ impl Tap {
         const STEPS: f32 = 65535.0;
         let last = Vec2::new(size[0] as f32 - 2.0, size[1] as f32 - 2.0).max(Vec2::ZERO);
         let at = (at - 0.5).clamp(Vec2::ZERO, last + 1.0);
-        let low = at.floor().min(last);
-        let part = (at - low) * STEPS;
+        let low = at.as_uvec2().min(last.as_uvec2());
+        let part = (at - low.as_vec2()) * STEPS;
         Self {
-            texel: low.y as u32 * size[0] as u32 + low.x as u32,
+            texel: low.y * size[0] as u32 + low.x,
             across: part.x as u16,
             down: part.y as u16,
         }
@@ -220,7 +229,7 @@ impl Tap {
 
 /// Σ weight × value (xyz) and Σ weight (w) over the taps of all pixels that touch each texel.
 struct Sums {
-    /// One sum per group of views, so that their order is fixed.
+    /// One sum per part of the views, so that their order is fixed.
     parts: Vec<Vec<Vec4>>,
     total: Vec<Vec4>,
 }
@@ -240,15 +249,15 @@ impl Sums {
         size: [usize; 2],
         value: impl Fn(usize, usize) -> Vec3 + Sync,
     ) {
-        let lanes = self.parts.len();
+        let count = self.parts.len();
         self.parts
             .par_iter_mut()
             .enumerate()
-            .for_each(|(lane, part)| {
+            .for_each(|(own, part)| {
                 part.fill(Vec4::ZERO);
-                for view in (lane..footprints.len()).step_by(lanes) {
-                    let f = &footprints[view];
-                    for i in (0..f.pixels.len()).filter(|&i| f.weight[i] > 0.0) {
+                for (view, f) in footprints.iter().enumerate() {
+                    let cut = |k: usize| f.pixels.len() * k / count;
+                    for i in (cut(own)..cut(own + 1)).filter(|&i| f.weight[i] > 0.0) {
                         let weighted = value(view, i).extend(1.0) * (f.weight[i] * f.scale[i]);
                         for tap in f.taps_of(i) {
                             for (texel, share) in tap.texels(size[0]) {
@@ -277,7 +286,60 @@ impl Footprints {
         let (camera, photograph) = (&view.camera, &view.photograph);
         let size = [atlas.width as usize, atlas.height as usize];
         let eye = camera.position().as_vec3();
-        let mut all = Self {
+        let mut all = Self::empty();
+        for rows in bands(camera, factor) {
+            let samples =
+                Samples::trace(scene.mesh, scene.occluder, camera, rows, factor, &|| false);
+            let specular = specular_band(scene, camera, shader, &samples);
+            let first = samples.rows.start * samples.width;
+            let row = |row: usize| {
+                let mut part = Self::empty();
+                for index in row * samples.width..(row + 1) * samples.width {
+                    let pixel = first + index;
+                    let covered = samples.of(index);
+                    if covered.is_empty() || !photograph.usable[pixel] {
+                        continue;
+                    }
+                    let specular = specular[index];
+                    let middle = &covered[covered.len() / 2];
+                    let point = scene.mesh.point(middle.triangle, middle.barycentric);
+                    let cos_view = point.normal.dot((eye - point.position).normalize_or_zero());
+                    let through = scene
+                        .brdf
+                        .map_or(1.0, |b| b.diffuse_transmittance(cos_view));
+                    let whole = covered.len() == samples.full()
+                        && photograph
+                            .coverage
+                            .as_ref()
+                            .is_none_or(|c| c[pixel] > 0.999);
+                    let trust = if whole { 1.0 } else { MIXED_WEIGHT };
+                    let error =
+                        (BASE_ERROR * typical).hypot(SPECULAR_ERROR * specular.max_element());
+                    let certainty = (BASE_ERROR * typical / error).powi(2);
+                    part.pixels.push(pixel as u32);
+                    part.taps.extend(covered.iter().map(|s| {
+                        let [a, b, c] = atlas.corner_uvs[s.triangle as usize];
+                        let (u, v) = (s.barycentric.x, s.barycentric.y);
+                        Tap::new(a * (1.0 - u - v) + b * u + c * v, size)
+                    }));
+                    part.starts.push(part.taps.len() as u32);
+                    part.scale.push(through / samples.full() as f32);
+                    part.target
+                        .push(Vec3::from(photograph.radiance[pixel]) - specular);
+                    part.specular.push(specular);
+                    part.weight
+                        .push(trust * cos_view.clamp(0.02, 1.0) * certainty);
+                }
+                part
+            };
+            let parts: Vec<Self> = (0..samples.rows.len()).into_par_iter().map(row).collect();
+            all.append(parts);
+        }
+        all
+    }
+
+    fn empty() -> Self {
+        Self {
             pixels: Vec::new(),
             starts: vec![0],
             taps: Vec::new(),
@@ -285,49 +347,30 @@ impl Footprints {
             target: Vec::new(),
             specular: Vec::new(),
             weight: Vec::new(),
-        };
-        for rows in bands(camera, factor) {
-            let samples =
-                Samples::trace(scene.mesh, scene.occluder, camera, rows, factor, &|| false);
-            let specular = specular_band(scene, camera, shader, &samples);
-            let first = samples.rows.start * samples.width;
-            for (index, &specular) in specular.iter().enumerate() {
-                let pixel = first + index;
-                let covered = samples.of(index);
-                if covered.is_empty() || !photograph.usable[pixel] {
-                    continue;
-                }
-                let middle = &covered[covered.len() / 2];
-                let point = scene.mesh.point(middle.triangle, middle.barycentric);
-                let cos_view = point.normal.dot((eye - point.position).normalize_or_zero());
-                let through = scene
-                    .brdf
-                    .map_or(1.0, |b| b.diffuse_transmittance(cos_view));
-                all.pixels.push(pixel as u32);
-                for s in covered {
-                    let [a, b, c] = atlas.corner_uvs[s.triangle as usize];
-                    let (u, v) = (s.barycentric.x, s.barycentric.y);
-                    all.taps
-                        .push(Tap::new(a * (1.0 - u - v) + b * u + c * v, size));
-                }
-                all.starts.push(all.taps.len() as u32);
-                all.scale.push(through / samples.full() as f32);
-                all.target
-                    .push(Vec3::from(photograph.radiance[pixel]) - specular);
-                all.specular.push(specular);
-                let error = (BASE_ERROR * typical).hypot(SPECULAR_ERROR * specular.max_element());
-                let whole = covered.len() == samples.full()
-                    && photograph
-                        .coverage
-                        .as_ref()
-                        .is_none_or(|c| c[pixel] > 0.999);
-                let trust = if whole { 1.0 } else { MIXED_WEIGHT };
-                all.weight.push(
-                    trust * cos_view.clamp(0.02, 1.0) * (BASE_ERROR * typical / error).powi(2),
-                );
-            }
         }
-        all
+    }
+
+    /// Adds the pixels of others after its own.
+    fn append(&mut self, parts: Vec<Self>) {
+        let pixels = parts.iter().map(|p| p.pixels.len()).sum();
+        self.taps.reserve(parts.iter().map(|p| p.taps.len()).sum());
+        self.pixels.reserve(pixels);
+        self.starts.reserve(pixels);
+        self.scale.reserve(pixels);
+        self.target.reserve(pixels);
+        self.specular.reserve(pixels);
+        self.weight.reserve(pixels);
+        for part in parts {
+            let base = self.taps.len() as u32;
+            self.starts
+                .extend(part.starts[1..].iter().map(|s| base + s));
+            self.pixels.extend(part.pixels);
+            self.taps.extend(part.taps);
+            self.scale.extend(part.scale);
+            self.target.extend(part.target);
+            self.specular.extend(part.specular);
+            self.weight.extend(part.weight);
+        }
     }
 
     fn taps_of(&self, i: usize) -> &[Tap] {
@@ -352,6 +395,11 @@ impl Footprints {
 
     fn residual(&self, i: usize, texture: &[Vec3A], size: [usize; 2]) -> Vec3 {
         self.target[i] - self.predict(i, texture, size)
+    }
+
+    fn residuals(&self, texture: &[Vec3A], size: [usize; 2]) -> Vec<Vec3> {
+        let pixels = (0..self.pixels.len()).into_par_iter();
+        pixels.map(|i| self.residual(i, texture, size)).collect()
     }
 
     /// Takes weight from pixels whose residual is far outside the common run.
@@ -386,7 +434,7 @@ impl Footprints {
             .map(|&i| Vec3::from(view.photograph.radiance[self.pixels[i] as usize]))
             .collect();
         let rendered: Vec<Vec3> = inside
-            .iter()
+            .par_iter()
             .map(|&i| self.predict(i, texture, size) + self.specular[i])
             .collect();
         let differences = rendered.iter().zip(&measured).map(|(r, m)| *r - *m);

@@ -9,6 +9,9 @@ use crate::surface::Atlas;
 
 /// Rounds of diffusion at most: each carries values one edge further.
 const MAX_ROUNDS: usize = 400;
+/// Parts in which texels are gathered, each with sums of its own, unless there are too many places for that.
+const PARTS: usize = 4;
+const FEW_PLACES: usize = 500_000;
 
 /// The mesh's vertices by where they are: vertices at one place are one, whatever their normals and texture coordinates.
 pub(super) struct Places {
@@ -36,33 +39,52 @@ impl Places {
         &self.list[self.starts[place] as usize..self.starts[place + 1] as usize]
     }
 
-    /// Weighted mean around each place of what texels have; `None` where they have no weight.
-    pub(super) fn gather(
+    /// Weighted means around each place of the N things that texels have; `None` where they have no weight.
+    pub(super) fn gather<const N: usize>(
         &self,
         mesh: &Mesh,
         atlas: &Atlas,
-        value: &dyn Fn(usize) -> Vec3,
-        weight: &dyn Fn(usize) -> f32,
-    ) -> Vec<Option<Vec3>> {
-        let mut sums = vec![(DVec3::ZERO, 0.0_f64); self.count()];
-        for texel in atlas.texels.iter().filter(|t| !t.gutter) {
-            let t = texel.index as usize;
-            let w = f64::from(weight(t));
-            if w == 0.0 {
-                continue;
-            }
-            let value = value(t).as_dvec3();
-            let (u, v) = (texel.barycentric.x, texel.barycentric.y);
-            let corners = mesh.triangles[texel.triangle as usize];
-            for (corner, share) in corners.into_iter().zip([1.0 - u - v, u, v]) {
-                let (sum, total) = &mut sums[self.of[corner as usize] as usize];
-                let w = w * f64::from(share.max(0.0));
-                *sum += value * w;
-                *total += w;
-            }
-        }
-        sums.into_iter()
-            .map(|(sum, total)| (total > 1e-6).then(|| (sum / total).as_vec3()))
+        values: impl Fn(usize) -> [Vec3; N] + Sync,
+        weight: impl Fn(usize) -> f32 + Sync,
+    ) -> Vec<Option<[Vec3; N]>> {
+        // The order of the sums is that of the parts, whatever the number of threads.
+        let parts = if self.count() > FEW_PLACES { 1 } else { PARTS };
+        let sums: Vec<Vec<([DVec3; N], f64)>> = (0..parts)
+            .into_par_iter()
+            .map(|part| {
+                let cut = |k: usize| atlas.texels.len() * k / parts;
+                let mut sums = vec![([DVec3::ZERO; N], 0.0_f64); self.count()];
+                for texel in &atlas.texels[cut(part)..cut(part + 1)] {
+                    let t = texel.index as usize;
+                    let w = f64::from(weight(t));
+                    if texel.gutter || w == 0.0 {
+                        continue;
+                    }
+                    let values = values(t).map(Vec3::as_dvec3);
+                    let (u, v) = (texel.barycentric.x, texel.barycentric.y);
+                    let corners = mesh.triangles[texel.triangle as usize];
+                    for (corner, share) in corners.into_iter().zip([1.0 - u - v, u, v]) {
+                        let (sum, total) = &mut sums[self.of[corner as usize] as usize];
+                        let w = w * f64::from(share.max(0.0));
+                        for (sum, value) in sum.iter_mut().zip(values) {
+                            *sum += value * w;
+                        }
+                        *total += w;
+                    }
+                }
+                sums
+            })
+            .collect();
+        (0..self.count())
+            .into_par_iter()
+            .map(|place| {
+                let total: f64 = sums.iter().map(|part| part[place].1).sum();
+                let mean = |k: usize| {
+                    let sum: DVec3 = sums.iter().map(|part| part[place].0[k]).sum();
+                    (sum / total).as_vec3()
+                };
+                (total > 1e-6).then(|| std::array::from_fn(mean))
+            })
             .collect()
     }
 }
@@ -74,9 +96,10 @@ pub(super) fn fill(
     places: &Places,
     atlas: &Atlas,
     albedo: &[Vec3],
-    weight: &dyn Fn(usize) -> f32,
+    weight: impl Fn(usize) -> f32 + Sync,
 ) -> Vec<Vec3> {
-    let mut value = places.gather(mesh, atlas, &|t| albedo[t], weight);
+    let gathered = places.gather(mesh, atlas, |t| [albedo[t]], &weight);
+    let mut value: Vec<Option<Vec3>> = gathered.into_iter().map(|v| v.map(|[v]| v)).collect();
     let mut mean = Mean::default();
     for texel in atlas.texels.iter().filter(|t| !t.gutter) {
         let t = texel.index as usize;
