@@ -21,7 +21,7 @@ use super::observations::{Candidate, Observations, Row, Sampling, Seen};
 use super::observer::{Interim, Iteration, Observer, Stopped, go_on};
 use super::shortcuts::{Shortcut, Shortcuts};
 use super::spread::even_out;
-use super::state::{EXACT, NEARLY_EXACT, Precision, ROUGH, SigmaStep, State};
+use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
 use super::support::drop_unsupported;
 use super::visibility::{SeenCells, cell_visibility};
 use super::workspace::Workspace;
@@ -41,6 +41,9 @@ const TIMES_WORSE: usize = 2;
 /// How much shorter or longer than Gauss-Newton's a step of σ may be.
 const MOST_SHORTENED: f64 = 0.5;
 const MOST_LENGTHENED: f64 = 4.0;
+
+/// A step of σ by less than this part of it is none.
+const SETTLED: f64 = 3e-4;
 
 /// Frequency of the coarsest grid.
 pub const COARSEST: u32 = 11;
@@ -260,7 +263,7 @@ impl Solver<'_> {
             )?;
             let last = level == finest;
             state = self.refine(&state, if last { &some } else { &some_gray });
-            let (rounds, precision) = if last { (10, NEARLY_EXACT) } else { (4, ROUGH) };
+            let (rounds, precision) = if last { (10, EXACT) } else { (4, ROUGH) };
             state.solve_lights(precision);
             if last {
                 if self.shortcuts.takes(Shortcut::DarkCells) {
@@ -278,9 +281,6 @@ impl Solver<'_> {
             }
         }
         go_on(watch.observer.progress("settling the roughness", 0.8))?;
-        if self.shortcuts.takes(Shortcut::DarkCells) {
-            state = self.narrow(&state);
-        }
         let mut state = self.on_points(&state, &all);
         let step = self.improve(&mut state, 4, EXACT, watch)?;
         let step = match step {
@@ -338,7 +338,7 @@ impl Solver<'_> {
             if watch.observer.enough() {
                 return Ok(Some(step));
             }
-            let is_small = |change: f64| round > 0 && change.abs() < precision.settled * sigma;
+            let is_small = |change: f64| round > 0 && change.abs() < SETTLED * sigma;
             if (is_small(change) || round + 1 == rounds) && state.light_missed(precision) {
                 step = state.sigma_step();
                 change = step.step.clamp(-limit, limit);

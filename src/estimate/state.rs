@@ -26,8 +26,6 @@ pub struct Precision {
     pub tolerance: f64,
     /// Whether every solve makes sure that no cell away from the lit ones would take light, or the last one only.
     pub looks_around: bool,
-    /// A step of σ by less than this part of it is none.
-    pub settled: f64,
 }
 
 /// Enough to see where light is. At a tolerance of 1e-4 slopes of σ were those of unfinished fits, and its steps went astray.
@@ -35,7 +33,6 @@ pub const ROUGH: Precision = Precision {
     ridge: 1e-6,
     tolerance: 1e-6,
     looks_around: true,
-    settled: 5e-3,
 };
 
 /// Enough that σ and the lamps' extents are not biased: at a ridge of 1e-5 they were, by 4 % and a factor of two.
@@ -43,13 +40,6 @@ pub const EXACT: Precision = Precision {
     ridge: 1e-9,
     tolerance: 1e-7,
     looks_around: false,
-    settled: 3e-4,
-};
-
-/// As exactly, on some of the points: with all of them σ moves on.
-pub const NEARLY_EXACT: Precision = Precision {
-    settled: 1e-3,
-    ..EXACT
 };
 
 /// Distance between the roughnesses at which f is looked at, as a share of σ, and how many they are at most.
