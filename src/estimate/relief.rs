@@ -19,6 +19,7 @@ use std::collections::BTreeMap;
 use faer::linalg::solvers::Solve;
 use faer::{Col, Mat};
 use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::cells::{Cell, CellGeometry};
 use super::design::Design;
@@ -45,12 +46,16 @@ const LEAST_SHARE: f32 = 0.03;
 /// Rounds, and those in which σ stays as it is, so that the lamps find their places first.
 const ROUNDS: usize = 8;
 const ROUNDS_AT_FIRST_SIGMA: usize = 2;
+/// A round that changes σ by less than this part of it is the last.
+const SETTLED: f32 = 5e-3;
 
 /// Pixels that a triangle must cover for the views to show more than it says: it is divided into sixteen.
 const LEAST_PIXELS: f64 = 16.0;
 
 /// Most points that take part.
 const POINTS: usize = 24_000;
+/// They are always cut into this many runs, so that sums come out the same on any number of threads.
+const RUNS: usize = 4;
 
 /// Angle by which normals and lamps are turned for their derivatives, radians.
 const TURN: f32 = 1e-3;
@@ -153,10 +158,14 @@ pub fn refine(
         let bench = Bench::new(&mesh, solver.seen.views);
         let solver = bench.solver(solver, &mesh);
         let free_sigma = round >= ROUNDS_AT_FIRST_SIGMA;
+        let sigma = lamps.brdf.sigma;
         if relief.step(&solver, &mut lamps, free_sigma).is_none() || watch.observer.enough() {
             break;
         }
         mesh = relief.mesh();
+        if free_sigma && (lamps.brdf.sigma / sigma - 1.0).abs() < SETTLED {
+            break;
+        }
     }
     Ok(Some(RefinedSurface {
         median_tilt: relief.fairing.median_tilt(&mesh),
@@ -324,6 +333,19 @@ impl Equations {
         }
     }
 
+    /// Adds the equations of other points.
+    fn merge(&mut self, other: &Self) {
+        self.heights.extend(&other.heights);
+        let coupling = self.coupling.iter_mut().zip(&other.coupling);
+        for (sums, values) in coupling.chain([(&mut self.gradient, &other.gradient)]) {
+            for (sum, value) in sums.iter_mut().zip(values) {
+                *sum += value;
+            }
+        }
+        self.lamps += &other.lamps;
+        self.lamps_gradient += &other.lamps_gradient;
+    }
+
     /// Steps of heights and lamps: the heights are eliminated first, as there are many of them but few that meet.
     fn solve(mut self) -> Option<(Vec<f64>, Col<f64>)> {
         let (count, unknowns) = (self.gradient.len(), self.coupling.len());
@@ -470,10 +492,22 @@ impl Relief {
         let observations = solver.points_showing(&lamps.directions, &lamps.brdf, POINTS);
         let rows = LinearRows::new(&design(solver, lamps, &observations), lamps, free_sigma);
         let slopes = self.slopes();
+        let points = &observations.points;
+        let parts: Vec<Equations> = (0..RUNS)
+            .into_par_iter()
+            .map(|run| {
+                let cut = |k: usize| points.len() * k / RUNS;
+                let mut equations = Equations::new(self.heights.len(), rows.by_lamps.len());
+                for point in &points[cut(run)..cut(run + 1)] {
+                    let own = rows.point_equations(point, &mut equations);
+                    equations.add(&own, &self.tilts(point, &slopes));
+                }
+                equations
+            })
+            .collect();
         let mut equations = Equations::new(self.heights.len(), rows.by_lamps.len());
-        for point in &observations.points {
-            let own = rows.point_equations(point, &mut equations);
-            equations.add(&own, &self.tilts(point, &slopes));
+        for part in &parts {
+            equations.merge(part);
         }
         let Equations {
             heights, gradient, ..

@@ -1,7 +1,7 @@
 //! Sparse symmetric positive definite systems, solved by Cholesky factorisation.
 
 use faer::linalg::solvers::Solve;
-use faer::sparse::{SparseColMat, Triplet};
+use faer::sparse::{SparseColMat, SymbolicSparseColMat};
 use faer::{Mat, Side};
 
 /// One sparse row: (column, value).
@@ -9,13 +9,24 @@ pub type SparseRow = Vec<(usize, f64)>;
 
 /// Lower half of a symmetric matrix; values at the same row and column add up.
 #[derive(Clone, Debug, Default)]
-pub struct LowerEntries(Vec<Triplet<usize, usize, f64>>);
+pub struct LowerEntries {
+    /// Row and value of each column's entries, rows ascending.
+    columns: Vec<Vec<(usize, f64)>>,
+}
 
 impl LowerEntries {
     /// Adds a value at a row and a column; above the diagonal it is left out.
     pub fn add(&mut self, row: usize, column: usize, value: f64) {
-        if row >= column {
-            self.0.push(Triplet::new(row, column, value));
+        if row < column {
+            return;
+        }
+        if self.columns.len() <= column {
+            self.columns.resize(column + 1, Vec::new());
+        }
+        let entries = &mut self.columns[column];
+        match entries.binary_search_by_key(&row, |&(row, _)| row) {
+            Ok(at) => entries[at].1 += value,
+            Err(at) => entries.insert(at, (row, value)),
         }
     }
 
@@ -28,8 +39,21 @@ impl LowerEntries {
         }
     }
 
+    /// The n × n matrix; `None` where an entry lies outside of it.
     fn matrix(&self, n: usize) -> Option<SparseColMat<usize, f64>> {
-        SparseColMat::try_new_from_triplets(n, n, &self.0).ok()
+        let outside = |(row, column, _)| row >= n || column >= n;
+        if self.iter().any(outside) {
+            return None;
+        }
+        let ends = self.columns.iter().scan(0, |end, entries| {
+            *end += entries.len();
+            Some(*end)
+        });
+        let mut starts: Vec<usize> = std::iter::once(0).chain(ends).collect();
+        starts.resize(n + 1, starts[starts.len() - 1]);
+        let (rows, values) = self.columns.iter().flatten().copied().unzip();
+        let pattern = SymbolicSparseColMat::new_checked(n, n, starts, None, rows);
+        Some(SparseColMat::new(pattern, values))
     }
 
     /// The solution for each column of `rhs`; `None` where the matrix isn't positive definite.
@@ -39,32 +63,30 @@ impl LowerEntries {
         x.is_all_finite().then_some(x)
     }
 
-    /// The n × n matrix with one value per row and column; `None` where an entry lies outside of it.
-    pub fn summed(&self, n: usize) -> Option<Self> {
-        let matrix = self.matrix(n)?;
-        let entries = matrix.triplet_iter();
-        let owned = entries.map(|t| Triplet::new(t.row, t.col, *t.val));
-        Some(Self(owned.collect()))
-    }
-
     /// The same times a factor.
     #[must_use]
-    pub fn scaled(&self, factor: f64) -> Self {
-        Self(
-            self.iter()
-                .map(|(row, column, value)| Triplet::new(row, column, value * factor))
-                .collect(),
-        )
+    pub fn scaled(mut self, factor: f64) -> Self {
+        for (_, value) in self.columns.iter_mut().flatten() {
+            *value *= factor;
+        }
+        self
     }
 
     /// Adds another matrix.
     pub fn extend(&mut self, other: &Self) {
-        self.0.extend_from_slice(&other.0);
+        for (row, column, value) in other.iter() {
+            self.add(row, column, value);
+        }
     }
 
     /// Row, column and value of every entry.
     pub fn iter(&self) -> impl Iterator<Item = (usize, usize, f64)> + '_ {
-        self.0.iter().map(|t| (t.row, t.col, t.val))
+        let columns = self.columns.iter().enumerate();
+        columns.flat_map(|(column, entries)| {
+            entries
+                .iter()
+                .map(move |&(row, value)| (row, column, value))
+        })
     }
 }
 
@@ -81,7 +103,7 @@ mod tests {
         for i in 1..n {
             chain.add_square(&[(i - 1, -1.0), (i, 1.0)], 2.0);
         }
-        let chain = chain.summed(n).unwrap().scaled(0.5);
+        let chain = chain.scaled(0.5);
         let rhs = Mat::from_fn(n, 1, |i, _| if i == n - 1 { 1.0 } else { 0.0 });
         let x = chain.solve(&rhs).unwrap();
         // A pull of 1 at the free end stretches the holding spring by 1/1.5 and each other by 1.

@@ -83,7 +83,6 @@ impl Fairing {
                 pull[place] += *weight * share * mean;
             }
         }
-        let energy = energy.summed(count)?;
         let x = energy.solve(&Mat::from_fn(count, 3, |i, k| pull[i][k]))?;
         let positions: Vec<DVec3> = (0..count)
             .map(|i| DVec3::new(x[(i, 0)], x[(i, 1)], x[(i, 2)]))
