@@ -151,6 +151,10 @@ impl Bundle {
 
     /// Lets the rays meet a triangle's front or back (Möller and Trumbore 1997), of two at one distance the lower index, so
     /// that the tree's shape does not show. Where any will do, a ray that has met one ends.
+    #[expect(
+        clippy::needless_bitwise_bool,
+        reason = "a branch would end the vector code"
+    )]
     #[inline(always)]
     fn meet<const NEAREST: bool>(&mut self, leaf: &Leaf) {
         let from_corner = self.origin - leaf.corner;
