@@ -21,7 +21,7 @@ use rekindle::hemisphere::HemisphereGrid;
 use rekindle::math::nnls::{self, NnlsParams};
 use rekindle::math::random::Random;
 use rekindle::relight::{LampNodes, Lighting, Scene, Shader, texel_irradiance};
-use rekindle::surface::{Atlas, Occluder, ViewSurface, minimum_texture, wanted_density};
+use rekindle::surface::{Atlas, LANES, Occluder, ViewSurface, minimum_texture, wanted_density};
 
 /// Frequency of the hemisphere, and of its coarsest cells.
 const FREQUENCIES: [u32; 2] = [70, 11];
@@ -226,6 +226,17 @@ fn rays(bencher: &Bencher) {
     bencher.time("whether 4096 rays are blocked", || {
         let blocked = |(from, to): &&(Vec3, Vec3)| occluder.occluded(*from, *to, f32::INFINITY);
         rays.iter().filter(blocked).count()
+    });
+    bencher.time("whether 512 times 8 rays of a lamp are blocked", || {
+        let towards = |to: Vec3, i: u8| {
+            let aside = 0.05 * f32::from(i).sin();
+            (to + Vec3::splat(aside)).normalize_or_zero()
+        };
+        let blocked = |(from, to): &(Vec3, Vec3)| {
+            let rays = (0..LANES as u8).map(|i| (towards(*to, i), f32::INFINITY));
+            occluder.occluded_many(*from, rays).count_ones()
+        };
+        rays.iter().step_by(LANES).map(blocked).sum::<u32>()
     });
     let camera = &DEMO.capture.views[0].camera;
     bencher.time("what a view sees", || {

@@ -315,6 +315,36 @@ mod tests {
     }
 
     #[test]
+    fn rays_together_meet_what_each_meets_alone() {
+        let mesh = bumpy_sphere(24, 0.2);
+        let occluder = Occluder::new(&mesh);
+        let all: Vec<(Vec3, Vec3)> = rays(400).collect();
+        let (mut met, mut blocked) = (0, 0);
+        for bundle in all.chunks(LANES - 1) {
+            let (origin, _) = bundle[0];
+            let directions = || bundle.iter().map(|&(_, direction)| direction);
+            // Some end on the way to what they would meet.
+            let reach = |i: usize| if i.is_multiple_of(2) { 2.5 } else { 9.0 };
+            let hits = occluder.hit_many(origin, directions());
+            let limited = directions().enumerate().map(|(i, d)| (d, reach(i)));
+            let bits = occluder.occluded_many(origin, limited);
+            assert!(hits[bundle.len()].is_none(), "a lane without a ray");
+            for (i, (direction, hit)) in directions().zip(hits).enumerate() {
+                let alone = occluder.hit(origin, direction);
+                assert_eq!(hit.map(|h| h.triangle), alone.map(|h| h.triangle));
+                let is_blocked = alone.is_some_and(|h| h.distance < reach(i));
+                assert_eq!(bits >> i & 1 == 1, is_blocked, "ray {i} from {origin}");
+                met += usize::from(hit.is_some());
+                blocked += usize::from(is_blocked);
+            }
+        }
+        assert!(
+            met > 50 && blocked > 20 && blocked < met,
+            "{met}, {blocked}"
+        );
+    }
+
+    #[test]
     fn a_ray_that_leaves_the_surface_does_not_meet_where_it_starts() {
         let mesh = bumpy_sphere(64, 0.0);
         let occluder = Occluder::new(&mesh);
