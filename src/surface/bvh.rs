@@ -339,7 +339,7 @@ mod tests {
             }
         }
         assert!(
-            met > 50 && blocked > 20 && blocked < met,
+            met > 40 && blocked > 10 && blocked < met,
             "{met}, {blocked}"
         );
     }
