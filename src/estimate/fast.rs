@@ -22,7 +22,7 @@ use super::observer::{Interim, Iteration, Observer, Stopped, go_on};
 use super::shortcuts::{Shortcut, Shortcuts};
 use super::spread::even_out;
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
-use super::support::drop_unsupported;
+use super::support::{drop_satellites, drop_unsupported};
 use super::visibility::{SeenCells, cell_visibility};
 use super::workspace::Workspace;
 use crate::hemisphere::HemisphereGrid;
@@ -292,6 +292,7 @@ impl Solver<'_> {
             }
         };
         let error = state.settle_sigma(&step, EXACT);
+        drop_satellites(&mut state);
         let state = even_out(self, state, &all);
         self.report(&state, watch)?;
         Ok(self.fit(&state, error))

@@ -2,36 +2,118 @@
 //!
 //! A lamp lowers the residuals at all points that show its highlight. What imitates noise, or a few bad pixels, lowers them
 //! at some points and raises them at nearly as many: the sum over points is then small against its own scatter. Noise takes
-//! a little light from all over the hemisphere; left in place, it would be split into single nodes and named as lamps.
+//! a little light from all over the hemisphere, and most from beside bright lamps, whose highlights are the noisiest; left in
+//! place, it would be split into single nodes and named as lamps.
 
-use super::state::{Precision, State};
+use std::collections::BTreeSet;
+
+use super::state::{EXACT, Precision, State};
 
 /// Lights of less than this share of the flux are looked at; brighter ones explain too much to be noise.
 const MOST_SHARE: f32 = 0.01;
 
+/// A light is a satellite of one that is this many times as bright, if it lies no further from it than this many σ. Cells
+/// nearer to each other than the width, in σ, are one light here.
+const MUCH_BRIGHTER: f32 = 10.0;
+const SATELLITE_REACH: f32 = 4.0;
+const SATELLITE_WIDTH: f32 = 0.7;
+
 /// Sum over surface points of what a light takes off the squared residuals, in units of its scatter, below which it is
-/// taken for noise. Lights of noise come to 3 at most on captures with truth, lamps to 6 and more.
+/// taken for noise. On captures with truth lights of noise come to 3 at most, lamps to 9 and more.
 const LEAST_SUPPORT: f64 = 5.0;
+
+/// What was dropped can come up again beside its place; this many times it is looked for.
+const MOST_ROUNDS: usize = 3;
 
 /// Drops the lights that the data do not ask for and solves for the others; whether there were any.
 pub fn drop_unsupported(state: &mut State<'_>, precision: Precision) -> bool {
-    let flux = |cells: &[usize]| cells.iter().map(|&k| state.flux(k)).sum::<f32>();
+    let flux = |cells: &[usize]| flux(state, cells);
     let total = flux(&state.lit());
-    let mut dropped = vec![false; state.cells.len()];
+    let mut dropped = Vec::new();
     for patch in patches(state, state.brdf.sigma) {
-        if flux(&patch) < MOST_SHARE * total && support(state, &patch) < LEAST_SUPPORT {
-            for k in patch {
-                dropped[k] = true;
+        if flux(&patch) < MOST_SHARE * total {
+            let own = contribution(state, &state.radiance, &darkened(&state.radiance, &patch));
+            if support(state, &own, &state.residuals.values) < LEAST_SUPPORT {
+                dropped.extend(patch);
             }
         }
     }
-    if !dropped.contains(&true) {
+    drop_cells(state, &dropped, precision)
+}
+
+/// Drops the satellites of bright lamps that these explain nearly as well in their place.
+pub fn drop_satellites(state: &mut State<'_>) {
+    for _ in 0..MOST_ROUNDS {
+        let dropped = needless_satellites(state);
+        if !drop_cells(state, &dropped, EXACT) {
+            return;
+        }
+    }
+}
+
+/// Cells of the satellites that the data do not ask for, looked at in turn, the dimmest first.
+fn needless_satellites(state: &State<'_>) -> Vec<usize> {
+    let width = SATELLITE_WIDTH * state.brdf.sigma;
+    let mut lamps: Vec<(f32, Vec<usize>)> = patches(state, width)
+        .into_iter()
+        .map(|cells| (flux(state, &cells), cells))
+        .collect();
+    lamps.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut dropped = Vec::new();
+    let mut radiance = state.radiance.clone();
+    let mut residuals = state.residuals.values.clone();
+    for (k, (flux, lamp)) in lamps.iter().enumerate() {
+        let mut brighter = lamps[k..].iter().filter(|b| b.0 > MUCH_BRIGHTER * flux);
+        if !brighter.any(|b| is_near(state, lamp, &b.1)) {
+            continue;
+        }
+        let without = state.refit(&darkened(&radiance, lamp), EXACT);
+        let own = contribution(state, &radiance, &without);
+        if support(state, &own, &residuals) < LEAST_SUPPORT {
+            dropped.extend(lamp);
+            radiance = without;
+            for (residual, own) in residuals.iter_mut().flatten().zip(own.iter().flatten()) {
+                *residual += own;
+            }
+        }
+    }
+    dropped
+}
+
+/// Solves without some of the cells; whether there are any.
+fn drop_cells(state: &mut State<'_>, dropped: &[usize], precision: Precision) -> bool {
+    if dropped.is_empty() {
         return false;
     }
-    let kept: Vec<usize> = (0..dropped.len()).filter(|&k| !dropped[k]).collect();
+    let dropped: BTreeSet<usize> = dropped.iter().copied().collect();
+    let kept: Vec<usize> = (0..state.cells.len())
+        .filter(|k| !dropped.contains(k))
+        .collect();
     *state = state.with_cells(&kept);
     state.solve_lit(precision);
     true
+}
+
+/// Σ over cells and channels of radiance times solid angle.
+fn flux(state: &State<'_>, cells: &[usize]) -> f32 {
+    cells.iter().map(|&k| state.flux(k)).sum()
+}
+
+/// Radiances with some of the cells dark.
+fn darkened(radiance: &[[f32; 3]], cells: &[usize]) -> Vec<[f32; 3]> {
+    let mut darkened = radiance.to_vec();
+    for &k in cells {
+        darkened[k] = [0.0; 3];
+    }
+    darkened
+}
+
+/// Whether one light reaches near another.
+fn is_near(state: &State<'_>, one: &[usize], other: &[usize]) -> bool {
+    let directions = &state.design.geometry.directions;
+    let reach = SATELLITE_REACH * state.brdf.sigma;
+    let mut pairs = one.iter().flat_map(|&a| other.iter().map(move |&b| (a, b)));
+    pairs.any(|(a, b)| directions[a].distance_squared(directions[b]) < reach * reach)
 }
 
 /// Lit cells, those together that lie beside each other or nearer to each other than `width`, radians: within a lobe's
@@ -57,20 +139,26 @@ pub fn patches(state: &State<'_>, width: f32) -> Vec<Vec<usize>> {
     patches
 }
 
-/// Sum over points of the fall of the weighted squared residuals by some of the cells, as a multiple of the root of the sum
-/// of its squares.
-fn support(state: &State<'_>, cells: &[usize]) -> f64 {
-    let mut alone = vec![[0.0; 3]; state.cells.len()];
-    for &k in cells {
-        alone[k] = state.radiance[k];
-    }
-    let mut own = state.design.predict_values(&state.brdf, &alone);
+/// What some lights show at the rows that others do not, each point's best diffuse colour taken out.
+fn contribution(state: &State<'_>, lights: &[[f32; 3]], others: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let change: Vec<[f32; 3]> = lights
+        .iter()
+        .zip(others)
+        .map(|(l, o)| std::array::from_fn(|c| l[c] - o[c]))
+        .collect();
+    let mut own = state.design.predict_values(&state.brdf, &change);
     state.eliminate(&mut own);
+    own
+}
+
+/// Sum over points of the fall of the weighted squared residuals by what a light shows, as a multiple of the root of the sum
+/// of its squares.
+fn support(state: &State<'_>, own: &[[f32; 3]], residuals: &[[f32; 3]]) -> f64 {
     let (mut sum, mut squares) = (0.0_f64, 0.0_f64);
     for point in &state.design.observations.points {
         let mut fall = 0.0_f64;
         for k in point.rows.clone() {
-            for (s, r) in own[k].iter().zip(state.residuals.values[k]) {
+            for (s, r) in own[k].iter().zip(residuals[k]) {
                 fall += f64::from(state.weights[k] * s * (s + 2.0 * r));
             }
         }

@@ -496,24 +496,21 @@ fn small_differences_of_exposure_are_found_with_the_lights() {
 
 #[test]
 fn noise_is_not_taken_for_lamps() {
-    let mut capture = load();
-    for (i, view) in capture.views.iter_mut().enumerate() {
-        for (k, pixel) in Arc::make_mut(&mut view.photograph)
-            .radiance
-            .iter_mut()
-            .enumerate()
-        {
-            let mut random = Random((i * 1_000_000 + k) as u64 * 0x9e37_79b9_7f4a_7c15);
-            *pixel = pixel.map(|v| v * (1.0 + 0.03 * random.normal()));
+    let clean = load();
+    for seed in 1..=3 {
+        let mut capture = clean.clone();
+        for (i, view) in capture.views.iter_mut().enumerate() {
+            let radiance = &mut Arc::make_mut(&mut view.photograph).radiance;
+            for (k, pixel) in radiance.iter_mut().enumerate() {
+                let place = (seed * 10 + i) * 1_000_000 + k;
+                let mut random = Random(place as u64 * 0x9e37_79b9_7f4a_7c15);
+                *pixel = pixel.map(|v| v * (1.0 + 0.03 * random.normal()));
+            }
         }
+        let found = fast(&capture);
+        let up = capture.light_hemisphere.up.as_vec3();
+        let grid = HemisphereGrid::new(40, up, None, capture.mesh.centre());
+        let lamps = find_lamps(&grid, &found.radiance);
+        assert_eq!(lamps.len(), 2, "{lamps:?}");
     }
-    let found = fast(&capture);
-    let up = capture.light_hemisphere.up.as_vec3();
-    let grid = HemisphereGrid::new(40, up, None, capture.mesh.centre());
-    let lamps = find_lamps(&grid, &found.radiance);
-    let flux: f32 = lamps.iter().map(|l| l.flux.iter().sum::<f32>()).sum();
-    let bright = lamps
-        .iter()
-        .filter(|l| l.flux.iter().sum::<f32>() > 0.003 * flux);
-    assert_eq!(bright.count(), 2, "{lamps:?}");
 }

@@ -62,8 +62,8 @@ pub fn solve(gram: MatRef<'_, f64>, rhs: &[f64], x: &mut [f64], params: &NnlsPar
         }
         entering.sort_by(|&a, &b| gradient[a].total_cmp(&gradient[b]));
         let steepest = gradient[entering[0]];
-        entering.retain(|&i| gradient[i] < 0.3 * steepest);
-        entering.truncate(1 + passive.len() / 4);
+        entering.retain(|&i| gradient[i] < 0.1 * steepest);
+        entering.truncate(1 + passive.len() / 2);
         left -= 1;
         enter(gram, rhs, &mut passive, entering, &mut rejected);
     }
@@ -103,7 +103,8 @@ fn enter(
     rejected[steepest] = true;
 }
 
-/// Moves to the minimum over the passive variables, dropping those that reach zero on the way.
+/// Moves to the minimum over the passive variables, dropping those that reach zero on the way; many at once where that lowers
+/// the objective, else one by one.
 fn descend(
     gram: MatRef<'_, f64>,
     rhs: &[f64],
@@ -114,6 +115,10 @@ fn descend(
 ) {
     loop {
         let target = solve_passive(gram, rhs, passive);
+        let leaves_bounds = target.iter().any(|&t| t <= 0.0);
+        if leaves_bounds && leap(gram, rhs, x, passive, &target) {
+            return;
+        }
         let step = passive
             .iter()
             .zip(&target)
@@ -142,6 +147,55 @@ fn descend(
     }
 }
 
+/// Drops all passive variables whose `target` is not positive, and again until none is left, as block principal pivoting does
+/// (Portugal, Júdice and Vicente 1994), and moves there if the objective is lower; else nothing changes and it is false.
+fn leap(
+    gram: MatRef<'_, f64>,
+    rhs: &[f64],
+    x: &mut [f64],
+    passive: &mut Vec<usize>,
+    target: &[f64],
+) -> bool {
+    let mut kept = passive.clone();
+    let mut values = target.to_vec();
+    while values.iter().any(|&v| v <= 0.0) {
+        let mut positive = values.iter().map(|&v| v > 0.0);
+        kept.retain(|_| positive.next() == Some(true));
+        values = solve_passive(gram, rhs, &kept);
+    }
+    // At a minimum over some variables xᵀGx is bᵀx.
+    let there = -0.5
+        * kept
+            .iter()
+            .zip(&values)
+            .map(|(&i, v)| rhs[i] * v)
+            .sum::<f64>();
+    let is_lower = there < objective(gram, rhs, passive, x);
+    if !is_lower {
+        return false;
+    }
+    for &i in passive.iter() {
+        x[i] = 0.0;
+    }
+    for (&i, v) in kept.iter().zip(values) {
+        x[i] = v;
+    }
+    *passive = kept;
+    true
+}
+
+/// `½ xᵀ G x − bᵀ x` where x vanishes outside `passive`.
+fn objective(gram: MatRef<'_, f64>, rhs: &[f64], passive: &[usize], x: &[f64]) -> f64 {
+    passive
+        .iter()
+        .map(|&i| {
+            let column = gram.col(i);
+            let product: f64 = passive.iter().map(|&j| column[j] * x[j]).sum();
+            x[i] * (0.5 * product - rhs[i])
+        })
+        .sum()
+}
+
 /// `G x − b` where x vanishes outside `passive`.
 fn gradient(gram: MatRef<'_, f64>, rhs: &[f64], passive: &[usize], x: &[f64]) -> Vec<f64> {
     let mut gradient: Vec<f64> = rhs.iter().map(|b| -b).collect();
@@ -164,9 +218,14 @@ fn solve_passive(gram: MatRef<'_, f64>, rhs: &[f64], passive: &[usize]) -> Vec<f
     // Rounding can make a nearly singular block indefinite: a growing ridge mends that.
     let mut ridge = 0.0;
     for _ in 0..8 {
-        let block = Mat::from_fn(m, m, |i, j| {
-            gram[(passive[i], passive[j])] + if i == j { ridge } else { 0.0 }
-        });
+        let mut block = Mat::<f64>::zeros(m, m);
+        for j in 0..m {
+            let column = gram.col(passive[j]);
+            for (value, &i) in block.col_as_slice_mut(j)[j..].iter_mut().zip(&passive[j..]) {
+                *value = column[i];
+            }
+            block[(j, j)] += ridge;
+        }
         if let Ok(factor) = block.llt(Side::Lower) {
             let solution = factor.solve(&b);
             return (0..m).map(|k| solution[k]).collect();

@@ -123,23 +123,15 @@ pub fn reconstruct(
             break;
         }
         if iteration == 1 {
-            let residuals: Vec<Vec<Vec3>> = footprints
-                .iter_mut()
-                .map(|f| {
-                    let residuals = f.residuals(&texture, size);
-                    f.distrust_outliers(&residuals, typical);
-                    residuals
-                })
-                .collect();
-            sums.scatter(&footprints, size, |view, i| {
-                residuals[view][i] / footprints[view].covered(i)
-            });
-        } else {
-            sums.scatter(&footprints, size, |view, i| {
-                let f = &footprints[view];
-                f.residual(i, &texture, size) / f.covered(i)
-            });
+            for f in &mut footprints {
+                let residuals = f.residuals(&texture, size);
+                f.distrust_outliers(&residuals, typical);
+            }
         }
+        sums.scatter(&footprints, size, |view, i| {
+            let f = &footprints[view];
+            f.residual(i, &texture, size) / f.covered(i)
+        });
         texture
             .par_iter_mut()
             .zip(&sums.total)
