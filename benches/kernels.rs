@@ -21,7 +21,7 @@ use rekindle::hemisphere::HemisphereGrid;
 use rekindle::math::nnls::{self, NnlsParams};
 use rekindle::math::random::Random;
 use rekindle::relight::{LampNodes, Lighting, Scene, Shader, texel_irradiance};
-use rekindle::surface::{Atlas, LANES, Occluder, ViewSurface, minimum_texture, wanted_density};
+use rekindle::surface::{Atlas, Occluder, ViewSurface, minimum_texture, wanted_density};
 
 /// Frequency of the hemisphere, and of its coarsest cells.
 const FREQUENCIES: [u32; 2] = [70, 11];
@@ -233,10 +233,12 @@ fn rays(bencher: &Bencher) {
             (to + Vec3::splat(aside)).normalize_or_zero()
         };
         let blocked = |(from, to): &(Vec3, Vec3)| {
-            let rays = (0..LANES as u8).map(|i| (towards(*to, i), f32::INFINITY));
-            occluder.occluded_many(*from, rays).count_ones()
+            let rays = (0..8).map(|i| ((), towards(*to, i), f32::INFINITY));
+            let mut count = 0;
+            occluder.each_occluded(*from, rays, |(), blocked| count += u32::from(blocked));
+            count
         };
-        rays.iter().step_by(LANES).map(blocked).sum::<u32>()
+        rays.iter().step_by(8).map(blocked).sum::<u32>()
     });
     let camera = &DEMO.capture.views[0].camera;
     bencher.time("what a view sees", || {

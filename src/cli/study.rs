@@ -20,7 +20,7 @@ pub(super) struct StudyArgs {
     /// Folder for tables and plots; of an earlier study there, sections that are not asked for are kept
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Sections (stability, scaling, coverage) or single groups of them (stability/noise) in place of all
+    /// Sections (stability, coverage, scaling, skipping) or single groups of them (stability/noise) in place of all
     #[arg(long, value_name = "SECTION[/GROUP]", value_delimiter = ',')]
     only: Vec<String>,
     /// Width and height of the photographs on which the stability is studied

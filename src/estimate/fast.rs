@@ -11,6 +11,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
@@ -37,6 +38,9 @@ const NEAR_RATIO: f32 = 2.0;
 /// This many roughnesses in a row that leave so many times as much as the best so far end the comparison.
 const CLEARLY_WORSE: f64 = 1.1;
 const TIMES_WORSE: usize = 2;
+
+/// So many of them are tried side by side.
+const AT_ONCE: usize = 2;
 
 /// How much shorter or longer than Gauss-Newton's a step of σ may be.
 const MOST_SHORTENED: f64 = 0.5;
@@ -177,45 +181,45 @@ impl Solver<'_> {
             roots,
             Brdf { model, sigma },
         );
-        let mut best: Option<(f64, State<'_>)> = None;
-        let mut broadest = None;
-        let mut worse = 0;
         watch.observer.interim(Interim::Lobe(model));
         let is_near = |sigma: f32| {
             let ratio = near.map_or(1.0, |n| sigma / n);
             (1.0 / NEAR_RATIO..NEAR_RATIO).contains(&ratio)
         };
         let thrifty = self.shortcuts.takes(Shortcut::Roughnesses);
+        let sigmas: Vec<f32> = (SIGMAS.into_iter().enumerate())
+            .filter(|&(k, sigma)| !thrifty || k == 0 || is_near(sigma))
+            .map(|(_, sigma)| sigma)
+            .collect();
+        let mut best: Option<(f64, State<'_>)> = None;
+        let mut broadest = None;
+        let mut worse = 0;
         let mut tried = 0;
-        for (k, sigma) in SIGMAS.into_iter().enumerate() {
-            if thrifty && k > 0 && !is_near(sigma) {
-                continue;
-            }
-            tried += 1;
-            let done = 0.3 * k as f32 / SIGMAS.len() as f32;
+        for some in sigmas.chunks(AT_ONCE) {
+            let done = 0.3 * tried as f32 / sigmas.len() as f32;
             go_on(watch.observer.progress("comparing roughnesses", done))?;
-            let mut state = dark.clone();
-            state.brdf.sigma = sigma;
-            state.solve_lights(ROUGH);
-            let cost = state.unexplained();
-            watch.observer.interim(Interim::Tried {
-                model,
-                sigma,
-                unexplained: cost,
-            });
-            broadest.get_or_insert(cost);
-            if best
-                .as_ref()
-                .is_some_and(|(c, _)| cost > CLEARLY_WORSE * *c)
-            {
-                worse += 1;
+            tried += some.len();
+            let states: Vec<State<'_>> = some.par_iter().map(|&sigma| dark.lit_at(sigma)).collect();
+            for state in states {
+                let cost = state.unexplained();
+                watch.observer.interim(Interim::Tried {
+                    model,
+                    sigma: state.brdf.sigma,
+                    unexplained: cost,
+                });
+                broadest.get_or_insert(cost);
+                match &best {
+                    Some((least, _)) if cost >= *least => {
+                        worse += usize::from(cost > CLEARLY_WORSE * least);
+                    }
+                    _ => {
+                        best = Some((cost, state));
+                        worse = 0;
+                    }
+                }
             }
-            if thrifty && worse == TIMES_WORSE {
+            if thrifty && worse >= TIMES_WORSE {
                 break;
-            }
-            if best.as_ref().is_none_or(|(c, _)| cost < *c) {
-                best = Some((cost, state));
-                worse = 0;
             }
         }
         let left_out = SIGMAS.len() - tried;

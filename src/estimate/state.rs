@@ -116,6 +116,15 @@ impl<'a> State<'a> {
         }
     }
 
+    /// The lights at another σ, sought from darkness.
+    pub fn lit_at(&self, sigma: f32) -> Self {
+        let mut state = self.clone();
+        state.brdf.sigma = sigma;
+        state.radiance.fill([0.0; 3]);
+        state.solve_lights(ROUGH);
+        state
+    }
+
     /// The same with some of the cells only; dark ones leave the fit as it is.
     pub fn restricted(&self, keep: impl Fn(&Cell) -> bool) -> Self {
         let kept: Vec<usize> = (0..self.cells.len())

@@ -13,7 +13,7 @@ use super::lobes::light_from;
 use super::model::Brdf;
 use super::observations::Point;
 use super::shortcuts::Shortcut;
-use crate::surface::{LANES, Occluder};
+use crate::surface::Occluder;
 
 /// Part of a lobe's peak below which a light is not worth a shadow ray.
 const NEGLIGIBLE: f32 = 3e-3;
@@ -142,13 +142,12 @@ impl<'a> Lookout<'a> {
 
     /// Calls `tell` for each of some numbered directions, and whether the point sees that way.
     fn each(&self, directions: &[(usize, Vec3)], mut tell: impl FnMut(usize, bool)) {
-        for bundle in directions.chunks(LANES) {
-            let rays = bundle.iter().map(|&(_, direction)| self.ray(direction));
-            let blocked = self.occluder.occluded_many(self.origin, rays);
-            for (lane, &(number, _)) in bundle.iter().enumerate() {
-                tell(number, blocked >> lane & 1 == 0);
-            }
-        }
+        let rays = directions.iter().map(|&(number, direction)| {
+            let (l, distance) = self.ray(direction);
+            (number, l, distance)
+        });
+        let tell = |number, is_blocked: bool| tell(number, !is_blocked);
+        self.occluder.each_occluded(self.origin, rays, tell);
     }
 
     /// Direction and length of a ray towards a light.

@@ -78,8 +78,6 @@ struct Footprints {
     scale: Vec<f32>,
     /// What was measured, minus the specular part.
     target: Vec<Vec3>,
-    /// Specular radiance of each pixel.
-    specular: Vec<Vec3>,
     /// Confidence in the target, 0 to 1.
     weight: Vec<f32>,
 }
@@ -123,9 +121,9 @@ pub fn reconstruct(
             break;
         }
         if iteration == 1 {
-            for f in &mut footprints {
+            for (f, view) in footprints.iter_mut().zip(views) {
                 let residuals = f.residuals(&texture, size);
-                f.distrust_outliers(&residuals, typical);
+                f.distrust_outliers(view, &residuals, typical);
             }
         }
         sums.scatter(&footprints, size, |view, i| {
@@ -318,7 +316,6 @@ impl Footprints {
                     part.scale.push(through / samples.full() as f32);
                     part.target
                         .push(Vec3::from(photograph.radiance[pixel]) - specular);
-                    part.specular.push(specular);
                     part.weight
                         .push(trust * cos_view.clamp(0.02, 1.0) * certainty);
                 }
@@ -337,7 +334,6 @@ impl Footprints {
             taps: Vec::new(),
             scale: Vec::new(),
             target: Vec::new(),
-            specular: Vec::new(),
             weight: Vec::new(),
         }
     }
@@ -350,7 +346,6 @@ impl Footprints {
         self.starts.reserve(pixels);
         self.scale.reserve(pixels);
         self.target.reserve(pixels);
-        self.specular.reserve(pixels);
         self.weight.reserve(pixels);
         for part in parts {
             let base = self.taps.len() as u32;
@@ -360,7 +355,6 @@ impl Footprints {
             self.taps.extend(part.taps);
             self.scale.extend(part.scale);
             self.target.extend(part.target);
-            self.specular.extend(part.specular);
             self.weight.extend(part.weight);
         }
     }
@@ -395,7 +389,7 @@ impl Footprints {
     }
 
     /// Takes weight from pixels whose residual is far outside the common run.
-    fn distrust_outliers(&mut self, residuals: &[Vec3], typical: f32) {
+    fn distrust_outliers(&mut self, view: &View, residuals: &[Vec3], typical: f32) {
         let mut sizes: Vec<f32> = residuals
             .iter()
             .zip(&self.weight)
@@ -407,13 +401,24 @@ impl Footprints {
         }
         let middle = sizes.len() / 2;
         let spread = 1.4826 * *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
-        for (i, r) in residuals.iter().enumerate() {
-            let specular = SPECULAR_ERROR * self.specular[i].max_element();
-            let scale = OUTLIER * (spread.max(BASE_ERROR * typical) + specular);
-            let part = 1.0 - (r.abs().max_element() / scale).powi(2);
-            // Never to nothing: a point that one view alone saw keeps what it has.
-            self.weight[i] *= part.max(0.0).powi(2).max(1e-3);
-        }
+        let Self {
+            pixels,
+            target,
+            weight,
+            ..
+        } = self;
+        weight
+            .par_iter_mut()
+            .zip(residuals)
+            .zip(pixels.par_iter().zip(target))
+            .for_each(|((weight, residual), (&pixel, target))| {
+                let measured = Vec3::from(view.photograph.radiance[pixel as usize]);
+                let specular = SPECULAR_ERROR * (measured - *target).max_element();
+                let scale = OUTLIER * (spread.max(BASE_ERROR * typical) + specular);
+                let part = 1.0 - (residual.abs().max_element() / scale).powi(2);
+                // Never to nothing: a point that one view alone saw keeps what it has.
+                *weight *= part.max(0.0).powi(2).max(1e-3);
+            });
     }
 
     fn fit(&self, view: &View, texture: &[Vec3A], size: [usize; 2]) -> ViewFit {
@@ -422,12 +427,14 @@ impl Footprints {
             .filter(|&i| coverage.is_none_or(|c| c[self.pixels[i] as usize] > 0.999))
             .collect();
         let measured: Vec<Vec3> = inside
-            .iter()
+            .par_iter()
             .map(|&i| Vec3::from(view.photograph.radiance[self.pixels[i] as usize]))
             .collect();
+        // What is measured less the target is the specular part.
         let rendered: Vec<Vec3> = inside
             .par_iter()
-            .map(|&i| self.predict(i, texture, size) + self.specular[i])
+            .zip(&measured)
+            .map(|(&i, measured)| measured - self.residual(i, texture, size))
             .collect();
         let differences = rendered.iter().zip(&measured).map(|(r, m)| *r - *m);
         ViewFit {

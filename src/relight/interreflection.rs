@@ -23,7 +23,7 @@ use super::shading::{Shader, ShadingPoint, Visibility};
 use crate::capture::Mesh;
 use crate::estimate::Brdf;
 use crate::math::GOLDEN_ANGLE;
-use crate::surface::{Atlas, LANES, Occluder};
+use crate::surface::{Atlas, Occluder};
 
 /// Distance of gather points as a part of the object's diagonal.
 const SPACING: f32 = 1.0 / 90.0;
@@ -298,26 +298,23 @@ fn cast(
         let (sin, cos) = (turn + ray as f32 * GOLDEN_ANGLE).sin_cos();
         radius * (cos * tangent + sin * bitangent) + height * point.normal
     };
-    let rays: Vec<(usize, Vec3)> = order
+    let rays = order
         .iter()
         .map(|&ray| (ray, direction(ray)))
         .filter(|(_, direction)| direction.dot(point.face_normal) > 0.0)
-        .collect();
+        .map(|(ray, direction)| ((ray, direction), direction));
     let mut met = Vec::new();
-    for rays in rays.chunks(LANES) {
-        let hits = occluder.hit_many(origin, rays.iter().map(|(_, direction)| *direction));
-        for (&(ray, direction), hit) in rays.iter().zip(hits) {
-            let Some(hit) = hit else { continue };
-            let cos = exit_cosine(mesh, hit.triangle, hit.barycentric, direction);
-            met.extend(cos.map(|cos_there| Hit {
-                triangle: hit.triangle,
-                barycentric: hit.barycentric,
-                weight: scale * PI / RAYS as f32
-                    * brdf.diffuse_transmittance(height_of(ray))
-                    * brdf.diffuse_transmittance(cos_there),
-            }));
-        }
-    }
+    occluder.each_hit(origin, rays, |(ray, direction), hit| {
+        let Some(hit) = hit else { return };
+        let cos = exit_cosine(mesh, hit.triangle, hit.barycentric, direction);
+        met.extend(cos.map(|cos_there| Hit {
+            triangle: hit.triangle,
+            barycentric: hit.barycentric,
+            weight: scale * PI / RAYS as f32
+                * brdf.diffuse_transmittance(height_of(ray))
+                * brdf.diffuse_transmittance(cos_there),
+        }));
+    });
     met
 }
 

@@ -13,7 +13,7 @@ use super::shading::ShadingPoint;
 use crate::capture::Mesh;
 use crate::estimate::Brdf;
 use crate::math::GOLDEN_ANGLE;
-use crate::surface::{Atlas, LANES, Occluder};
+use crate::surface::{Atlas, Occluder};
 
 /// Half vectors of a lobe.
 const RAYS: usize = 12;
@@ -145,16 +145,14 @@ impl Surroundings<'_> {
             }
         });
         let mut sum = Vec3::ZERO;
-        for rays in rays[..count].chunks(LANES) {
-            let hits = occluder.hit_many(origin, rays.iter().map(|(light, _)| *light));
-            for (&(light, weight), hit) in rays.iter().zip(hits) {
-                let Some(hit) = hit else { continue };
-                if let Some(cos) = exit_cosine(mesh, hit.triangle, hit.barycentric, light) {
-                    sum += self.radiance(mesh, hit.triangle, hit.barycentric)
-                        * (weight * lobe.brdf.diffuse_transmittance(cos));
-                }
+        let rays = rays[..count].iter().map(|ray| (ray, ray.0));
+        occluder.each_hit(origin, rays, |&(light, weight), hit| {
+            let Some(hit) = hit else { return };
+            if let Some(cos) = exit_cosine(mesh, hit.triangle, hit.barycentric, light) {
+                sum += self.radiance(mesh, hit.triangle, hit.barycentric)
+                    * (weight * lobe.brdf.diffuse_transmittance(cos));
             }
-        }
+        });
         if total > 0.0 { sum / total } else { Vec3::ZERO }
     }
 

@@ -19,7 +19,7 @@ use super::lighting::{LampNodes, LightNode, Lighting};
 use super::patches::{self, patches};
 use crate::capture::Mesh;
 use crate::estimate::Brdf;
-use crate::surface::{LANES, Occluder};
+use crate::surface::Occluder;
 
 /// Lobes are cut where they have fallen to this part of their peak.
 const LOBE_CUTOFF: f32 = 1e-5;
@@ -442,30 +442,14 @@ impl<'a> Shader<'a> {
         origin: Vec3,
         group: &Group,
         nodes: &[usize],
-        mut tell: impl FnMut(usize, bool),
+        tell: impl FnMut(usize, bool),
     ) {
-        for (start, nodes) in (0..).step_by(LANES).zip(nodes.chunks(LANES)) {
-            let mut rays = [(Vec3::ZERO, 0.0); LANES];
-            let mut places = [0; LANES];
-            let mut count = 0;
-            for (k, &node) in nodes.iter().enumerate() {
-                let (l, _, distance) = group.towards(group.nodes[node].place, point.position);
-                if l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0 {
-                    rays[count] = (l, distance);
-                    places[count] = start + k;
-                    count += 1;
-                }
-            }
-            let blocked = match count {
-                0 => continue,
-                _ => self
-                    .occluder
-                    .occluded_many(origin, rays[..count].iter().copied()),
-            };
-            for (ray, &place) in places[..count].iter().enumerate() {
-                tell(place, blocked >> ray & 1 == 1);
-            }
-        }
+        let rays = nodes.iter().enumerate().filter_map(|(place, &node)| {
+            let (l, _, distance) = group.towards(group.nodes[node].place, point.position);
+            let in_front = l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0;
+            in_front.then_some((place, l, distance))
+        });
+        self.occluder.each_occluded(origin, rays, tell);
     }
 
     /// Casts the rays that tell how much of a group a point sees.

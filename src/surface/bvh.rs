@@ -133,17 +133,52 @@ impl Occluder {
 
     /// Whether anything lies between `origin` and `max_distance` (mesh units, may be infinite) along the unit `direction`.
     pub fn occluded(&self, origin: Vec3, direction: Vec3, max_distance: f32) -> bool {
-        self.occluded_many(origin, [(direction, max_distance)]) != 0
+        let mut is_blocked = false;
+        self.each_occluded(origin, [((), direction, max_distance)], |(), blocked| {
+            is_blocked = blocked;
+        });
+        is_blocked
     }
 
-    /// [`Occluder::occluded`] for up to [`LANES`] rays from one point, each with its unit direction and greatest distance; a
-    /// bit for each. Rays that go nearly the same way cost little more than one of them.
-    pub fn occluded_many(&self, origin: Vec3, rays: impl IntoIterator<Item = (Vec3, f32)>) -> u8 {
+    /// [`Occluder::occluded`] for many rays from one point, each with a name, its unit direction and its greatest distance.
+    /// They go eight at a time: of those that go nearly the same way, eight cost little more than one.
+    pub fn each_occluded<T: Copy>(
+        &self,
+        origin: Vec3,
+        rays: impl IntoIterator<Item = (T, Vec3, f32)>,
+        mut tell: impl FnMut(T, bool),
+    ) {
+        self.each_bundle(origin, rays, |bundle, names| {
+            bundle.find_any(self.tree());
+            let blocked = bundle.blocked();
+            for (lane, &name) in names.iter().flatten().enumerate() {
+                tell(name, blocked >> lane & 1 == 1);
+            }
+        });
+    }
+
+    /// Cuts rays into bundles, each with the names of its rays.
+    #[inline]
+    fn each_bundle<T: Copy>(
+        &self,
+        origin: Vec3,
+        rays: impl IntoIterator<Item = (T, Vec3, f32)>,
+        mut cast: impl FnMut(&mut Bundle, &[Option<T>; LANES]),
+    ) {
         let from = (origin - self.centre) / self.scale;
-        let rays = rays.into_iter().map(|(d, reach)| (d, reach / self.scale));
-        let mut bundle = Bundle::new(from, rays);
-        bundle.find_any(self.tree());
-        bundle.blocked()
+        let mut rays = rays.into_iter().peekable();
+        while rays.peek().is_some() {
+            let mut names = [None; LANES];
+            let some = names.iter_mut().zip(&mut rays);
+            let mut bundle = Bundle::new(
+                from,
+                some.map(|(name, (own, direction, reach))| {
+                    *name = Some(own);
+                    (direction, reach / self.scale)
+                }),
+            );
+            cast(&mut bundle, &names);
+        }
     }
 
     /// The hierarchy for a walk without a stack, with its list of triangles.
@@ -183,28 +218,31 @@ impl Occluder {
 
     /// The first point of the surface, front or back, along the unit `direction`.
     pub fn hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
-        let [hit, ..] = self.hit_many(origin, [direction]);
-        hit
+        let mut met = None;
+        self.each_hit(origin, [((), direction)], |(), hit| met = hit);
+        met
     }
 
-    /// [`Occluder::hit`] for up to [`LANES`] rays from one point.
-    pub fn hit_many(
+    /// [`Occluder::hit`] for many rays from one point, each with a name and its unit direction, as for
+    /// [`Occluder::each_occluded`].
+    pub fn each_hit<T: Copy>(
         &self,
         origin: Vec3,
-        directions: impl IntoIterator<Item = Vec3>,
-    ) -> [Option<Hit>; LANES] {
-        let from = (origin - self.centre) / self.scale;
-        let rays = directions.into_iter().map(|d| (d, f32::INFINITY));
-        let mut bundle = Bundle::new(from, rays);
-        bundle.find_nearest(self.tree());
-        std::array::from_fn(|lane| {
-            let met = bundle.met(lane)?;
-            Some(Hit {
-                triangle: met.triangle,
-                barycentric: met.barycentric,
-                distance: met.distance * self.scale,
-            })
-        })
+        rays: impl IntoIterator<Item = (T, Vec3)>,
+        mut tell: impl FnMut(T, Option<Hit>),
+    ) {
+        let endless = rays.into_iter().map(|(name, d)| (name, d, f32::INFINITY));
+        self.each_bundle(origin, endless, |bundle, names| {
+            bundle.find_nearest(self.tree());
+            for (lane, &name) in names.iter().flatten().enumerate() {
+                let hit = bundle.met(lane).map(|met| Hit {
+                    triangle: met.triangle,
+                    barycentric: met.barycentric,
+                    distance: met.distance * self.scale,
+                });
+                tell(name, hit);
+            }
+        });
     }
 
     /// `position` lifted off the surface along `normal` (unit, on the side the ray leaves to), far enough that a ray
@@ -318,23 +356,26 @@ mod tests {
     fn rays_together_meet_what_each_meets_alone() {
         let mesh = bumpy_sphere(24, 0.2);
         let occluder = Occluder::new(&mesh);
-        let all: Vec<(Vec3, Vec3)> = rays(400).collect();
+        let all: Vec<(Vec3, Vec3)> = rays(1600).collect();
         let (mut met, mut blocked) = (0, 0);
-        for bundle in all.chunks(LANES - 1) {
+        for bundle in all.chunks(2 * LANES + 3) {
             let (origin, _) = bundle[0];
-            let directions = || bundle.iter().map(|&(_, direction)| direction);
+            let directions = || bundle.iter().map(|&(_, d)| d).enumerate();
             // Some end on the way to what they would meet.
             let reach = |i: usize| if i.is_multiple_of(2) { 2.5 } else { 9.0 };
-            let hits = occluder.hit_many(origin, directions());
-            let limited = directions().enumerate().map(|(i, d)| (d, reach(i)));
-            let bits = occluder.occluded_many(origin, limited);
-            assert!(hits[bundle.len()].is_none(), "a lane without a ray");
-            for (i, (direction, hit)) in directions().zip(hits).enumerate() {
+            let mut hits = Vec::new();
+            occluder.each_hit(origin, directions(), |i, hit| hits.push((i, hit)));
+            let mut ends = Vec::new();
+            let limited = directions().map(|(i, d)| (i, d, reach(i)));
+            occluder.each_occluded(origin, limited, |i, is_blocked| ends.push((i, is_blocked)));
+            assert_eq!((hits.len(), ends.len()), (bundle.len(), bundle.len()));
+            for ((i, direction), (hit, end)) in directions().zip(hits.iter().zip(ends)) {
                 let alone = occluder.hit(origin, direction);
-                assert_eq!(hit.map(|h| h.triangle), alone.map(|h| h.triangle));
+                assert_eq!((hit.0, end.0), (i, i));
+                assert_eq!(hit.1.map(|h| h.triangle), alone.map(|h| h.triangle));
                 let is_blocked = alone.is_some_and(|h| h.distance < reach(i));
-                assert_eq!(bits >> i & 1 == 1, is_blocked, "ray {i} from {origin}");
-                met += usize::from(hit.is_some());
+                assert_eq!(end.1, is_blocked, "ray {i} from {origin}");
+                met += usize::from(hit.1.is_some());
                 blocked += usize::from(is_blocked);
             }
         }

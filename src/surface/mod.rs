@@ -9,7 +9,6 @@ mod texture;
 mod visible;
 
 pub use atlas::{Atlas, LARGEST_SIDE, Texel};
-pub use bundle::LANES;
 pub use bvh::{Hit, Occluder, WalkNode};
 pub use fairing::{Fairing, area_vectors};
 pub use texture::{

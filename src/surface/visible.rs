@@ -10,7 +10,6 @@
 use glam::{DVec2, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::bundle::LANES;
 use super::bvh::Occluder;
 use crate::capture::{Camera, Mesh, SurfacePoint};
 
@@ -202,25 +201,19 @@ fn rasterise(mesh: &Mesh, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
 fn cast(occluder: &Occluder, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
     let origin = camera.position().as_vec3();
     let forward = camera.forward();
-    let width = camera.width as usize;
-    let pixels = width * camera.height as usize;
-    (0..pixels.div_ceil(LANES))
+    (0..camera.height)
         .into_par_iter()
-        .flat_map_iter(|bundle| {
-            let pixels = bundle * LANES..((bundle + 1) * LANES).min(pixels);
-            let directions: Vec<DVec3> = pixels
-                .map(|p| camera.ray(pixel_centre((p % width) as u32, (p / width) as u32)))
-                .collect();
-            let hits = occluder.hit_many(origin, directions.iter().map(|d| d.as_vec3()));
-            let seen = directions.into_iter().zip(hits);
-            seen.map(|(direction, hit)| match hit {
-                Some(hit) => (
-                    hit.triangle,
-                    (f64::from(hit.distance) * direction.dot(forward)) as f32,
-                ),
-                None => (NO_TRIANGLE, f32::INFINITY),
-            })
-            .collect::<Vec<_>>()
+        .flat_map_iter(|y| {
+            let directions = (0..camera.width).map(|x| camera.ray(pixel_centre(x, y)));
+            let rays = directions.map(|direction| (direction, direction.as_vec3()));
+            let mut seen = Vec::with_capacity(camera.width as usize);
+            occluder.each_hit(origin, rays, |direction, hit| {
+                seen.push(hit.map_or((NO_TRIANGLE, f32::INFINITY), |hit| {
+                    let depth = f64::from(hit.distance) * direction.dot(forward);
+                    (hit.triangle, depth as f32)
+                }));
+            });
+            seen
         })
         .unzip()
 }
