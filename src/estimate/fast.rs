@@ -253,7 +253,7 @@ impl Solver<'_> {
         let mut points = self.points_of_cells(coarse, FINE_POINTS);
         let scale = Some(self.coarse.scale);
         let all = Observations::of(points.clone(), scale);
-        points.truncate(MIDDLE_POINTS);
+        points.retain(Candidate::among_first(MIDDLE_POINTS));
         let some = Observations::of(points, scale);
         let some_gray = some.to_gray();
         let finest = self.pyramid.finest();
@@ -419,10 +419,11 @@ impl Solver<'_> {
         let mut points = Candidate::all(&self.seen, &sampling);
         if !thrifty {
             // As many of those that matter, with the others that lie between them.
-            let mut showing = 0;
+            let mut is_among_first = Candidate::among_first(limit);
+            let mut enough = false;
             points.retain(|point| {
-                showing += usize::from(point.is_kept_by(shows));
-                showing <= limit
+                enough |= point.is_kept_by(shows) && !is_among_first(point);
+                !enough
             });
         }
         points

@@ -16,6 +16,9 @@ use crate::surface::ViewSurface;
 /// the normals, and a pixel covers many of them.
 pub const MIN_COS_ROW: f32 = 0.2;
 
+/// Rows of a point up to which the number of points is what counts. Where many views see each point, fewer points say as much.
+const ROWS_PER_POINT: usize = 8;
+
 /// A surface and the photographs of it.
 #[derive(Clone, Copy)]
 pub struct Seen<'a> {
@@ -72,7 +75,7 @@ pub struct Observations {
 pub struct Sampling<'a> {
     /// Pixels looked at, about.
     pub candidates: usize,
-    /// Most points kept, an even sample of those that qualify.
+    /// Most points kept, an even sample of those that qualify; see [`Candidate::among_first`].
     pub limit: usize,
     /// Whether a point with these rows is of use.
     pub keep: &'a (dyn Fn(Vec3, Vec3, &[Row]) -> bool + Sync),
@@ -167,6 +170,17 @@ impl Candidate {
         keep(self.position, self.normal, &self.rows)
     }
 
+    /// Says, asked of one candidate after the other, whether it is among the first `limit`, fewer where they have many rows.
+    pub fn among_first(limit: usize) -> impl FnMut(&Self) -> bool {
+        let most_rows = limit.saturating_mul(ROWS_PER_POINT);
+        let (mut points, mut rows) = (0, 0);
+        move |candidate| {
+            points += 1;
+            rows += candidate.rows.len();
+            points <= limit && rows <= most_rows
+        }
+    }
+
     /// The points of a sampling in random order, so that the first of them are an even sample too.
     pub fn all(seen: &Seen<'_>, sampling: &Sampling<'_>) -> Vec<Self> {
         let interior: usize = seen
@@ -193,7 +207,7 @@ impl Candidate {
             .filter(|c| c.rows.len() >= 2 && (sampling.keep)(c.position, c.normal, &c.rows))
             .collect();
         found.sort_unstable_by_key(|c| c.order);
-        found.truncate(sampling.limit);
+        found.retain(Self::among_first(sampling.limit));
         found
     }
 }
