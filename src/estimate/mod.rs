@@ -178,7 +178,7 @@ pub fn estimate(
 
 /// Half the 95 % interval of σ in standard errors. Were the model exact and rows independent it would be 1.96; with
 /// photographs' pixels, meshes and interpolation in between, 1.96 held the truth in half of 120 made captures. This, chosen on
-/// 60, held it in 90, 96 and 98 % of 200 each with 0.3, 1 and 3 % of noise (`rekindle study --only coverage`).
+/// 60, held it in 92.5, 97 and 98.5 % of 200 each with 0.3, 1 and 3 % of noise (`rekindle study --only coverage`).
 const HALF_INTERVAL: f32 = 5.5;
 
 /// A specular model that leaves so many times as much as the other at the best of a few roughnesses is not improved. In 67
