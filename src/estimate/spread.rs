@@ -15,6 +15,7 @@ use super::observations::Observations;
 use super::state::{EXACT, State};
 use super::support::patches;
 use crate::hemisphere::{Lamp, find_lamps};
+use crate::math::groups::linked_groups;
 
 /// Patches of lit nodes that are no further apart than this many standard deviations of the lobe, seen as a light, may be
 /// parts of one light …
@@ -170,30 +171,18 @@ fn solved_evenly<'s>(
 /// Groups of lit cells that may be one light each, wider than what one lobe hides.
 fn wide_groups(state: &State<'_>) -> Vec<BTreeSet<Cell>> {
     let width = width(state);
-    let mut left: Vec<Patch> = patches(state, width)
+    let patches: Vec<Patch> = patches(state, width)
         .into_iter()
         .map(|cells| Patch::new(state, cells))
         .collect();
-    let total: f32 = left.iter().map(|p| p.flux).sum();
-    let mut lights = Vec::new();
-    while let Some(first) = left.pop() {
-        let mut group = vec![first];
-        let mut next = 0;
-        while next < group.len() {
-            let (near, far): (Vec<_>, Vec<_>) = left
-                .into_iter()
-                .partition(|p| p.may_belong_to(&group[next], LINK * width, state));
-            left = far;
-            group.extend(near);
-            next += 1;
-        }
-        let light: Vec<usize> = group.into_iter().flat_map(|p| p.cells).collect();
-        let light = Patch::new(state, light);
-        if light.flux > LEAST_SHARE * total && light.radius(state) > WIDE * width {
-            lights.push(light.cells.iter().map(|&k| state.cells[k]).collect());
-        }
-    }
-    lights
+    let total: f32 = patches.iter().map(|p| p.flux).sum();
+    let may_be_one = |a: &Patch, b: &Patch| a.may_belong_to(b, LINK * width, state);
+    linked_groups(patches, may_be_one)
+        .into_iter()
+        .map(|parts| Patch::new(state, parts.into_iter().flat_map(|p| p.cells).collect()))
+        .filter(|light| light.flux > LEAST_SHARE * total && light.radius(state) > WIDE * width)
+        .map(|light| light.cells.iter().map(|&k| state.cells[k]).collect())
+        .collect()
 }
 
 /// Some lit cells.
@@ -205,7 +194,7 @@ struct Patch {
 
 impl Patch {
     fn new(state: &State<'_>, cells: Vec<usize>) -> Self {
-        let flux = cells.iter().map(|&k| state.flux(k)).sum();
+        let flux = state.flux(&cells);
         Self { cells, flux }
     }
 
@@ -227,13 +216,13 @@ impl Patch {
         let towards: Vec3 = self
             .cells
             .iter()
-            .map(|&k| state.flux(k) * directions[k])
+            .map(|&k| state.cell_flux(k) * directions[k])
             .sum();
         let centre = towards.normalize_or_zero();
         let squares: f32 = self
             .cells
             .iter()
-            .map(|&k| state.flux(k) * directions[k].angle_between(centre).powi(2))
+            .map(|&k| state.cell_flux(k) * directions[k].angle_between(centre).powi(2))
             .sum();
         (2.0 * squares / self.flux.max(f32::MIN_POSITIVE)).sqrt()
     }

@@ -233,27 +233,7 @@ impl<'a> State<'a> {
             let ridge = precision.ridge + further(self.candidates[i]);
             gram[(i, i)] += ridge * mean + f64::MIN_POSITIVE;
         }
-        let params = self.nnls(precision);
-        let channels = if self.design.observations.gray { 1 } else { 3 };
-        let solved: Vec<Vec<f64>> = (0..channels)
-            .into_par_iter()
-            .map(|c| {
-                let start = self.candidates.iter();
-                let mut x: Vec<f64> = start.map(|&k| f64::from(self.radiance[k][c])).collect();
-                nnls::solve(gram.as_ref(), &equations.rhs[c], &mut x, &params);
-                x
-            })
-            .collect();
-        for (c, x) in solved.into_iter().enumerate() {
-            for (&k, x) in self.candidates.iter().zip(x) {
-                self.radiance[k][c] = x as f32;
-            }
-        }
-        if channels == 1 {
-            for l in &mut self.radiance {
-                *l = [l[0]; 3];
-            }
-        }
+        self.radiance = self.fitted(&equations, &self.candidates, &self.radiance, precision);
         self.system = Some(System {
             columns: self.candidates.clone(),
             equations,
@@ -269,31 +249,41 @@ impl<'a> State<'a> {
         let (at, lit): (Vec<usize>, Vec<usize>) = (system.columns.iter().copied().enumerate())
             .filter(|&(_, k)| start[k] != [0.0; 3])
             .unzip();
-        let gram = system.block(&at);
-        let mut radiance = start.to_vec();
-        let channels = if self.design.observations.gray { 1 } else { 3 };
-        for c in 0..channels {
-            let rhs: Vec<f64> = at.iter().map(|&i| system.equations.rhs[c][i]).collect();
-            let mut x: Vec<f64> = lit.iter().map(|&k| f64::from(start[k][c])).collect();
-            nnls::solve(gram.as_ref(), &rhs, &mut x, &self.nnls(precision));
-            for (&k, x) in lit.iter().zip(x) {
-                radiance[k][c] = x as f32;
-            }
-        }
-        if channels == 1 {
-            for l in &mut radiance {
-                *l = [l[0]; 3];
-            }
-        }
-        radiance
+        let equations = NormalEquations {
+            gram: system.block(&at),
+            rhs: (system.equations.rhs.each_ref()).map(|rhs| at.iter().map(|&i| rhs[i]).collect()),
+        };
+        self.fitted(&equations, &lit, start, precision)
     }
 
-    fn nnls(&self, precision: Precision) -> NnlsParams<'_> {
-        NnlsParams {
+    /// Radiance per cell that solves the equations of `cells`, started from `start`; other cells keep what that says.
+    fn fitted(
+        &self,
+        equations: &NormalEquations,
+        cells: &[usize],
+        start: &[[f32; 3]],
+        precision: Precision,
+    ) -> Vec<[f32; 3]> {
+        let params = NnlsParams {
             tolerance: precision.tolerance,
             stop: Some(self.design.stop),
             ..NnlsParams::default()
+        };
+        let own = if self.design.observations.gray { 1 } else { 3 };
+        let solved: Vec<Vec<f64>> = (0..own)
+            .into_par_iter()
+            .map(|c| {
+                let mut x: Vec<f64> = cells.iter().map(|&k| f64::from(start[k][c])).collect();
+                nnls::solve(equations.gram.as_ref(), &equations.rhs[c], &mut x, &params);
+                x
+            })
+            .collect();
+        let mut radiance = start.to_vec();
+        for (i, &k) in cells.iter().enumerate() {
+            // Gray light is solved for once.
+            radiance[k] = std::array::from_fn(|c| solved[c % own][i] as f32);
         }
+        radiance
     }
 
     fn predict(&mut self) {
@@ -347,8 +337,13 @@ impl<'a> State<'a> {
     }
 
     /// Σ over channels of a cell's radiance times its solid angle.
-    pub fn flux(&self, cell: usize) -> f32 {
+    pub fn cell_flux(&self, cell: usize) -> f32 {
         self.design.geometry.solid_angles[cell] * self.radiance[cell].iter().sum::<f32>()
+    }
+
+    /// The same of some cells together.
+    pub fn flux(&self, cells: &[usize]) -> f32 {
+        cells.iter().map(|&k| self.cell_flux(k)).sum()
     }
 
     /// Whether two cells lie beside each other.

@@ -8,6 +8,7 @@
 use std::collections::BTreeSet;
 
 use super::state::{EXACT, Precision, State};
+use crate::math::groups::linked_groups;
 
 /// Lights of less than this share of the flux are looked at; brighter ones explain too much to be noise.
 const MOST_SHARE: f32 = 0.01;
@@ -27,11 +28,10 @@ const MOST_ROUNDS: usize = 3;
 
 /// Drops the lights that the data do not ask for and solves for the others; whether there were any.
 pub fn drop_unsupported(state: &mut State<'_>, precision: Precision) -> bool {
-    let flux = |cells: &[usize]| flux(state, cells);
-    let total = flux(&state.lit());
+    let total = state.flux(&state.lit());
     let mut dropped = Vec::new();
     for patch in patches(state, state.brdf.sigma) {
-        if flux(&patch) < MOST_SHARE * total {
+        if state.flux(&patch) < MOST_SHARE * total {
             let own = contribution(state, &state.radiance, &darkened(&state.radiance, &patch));
             if support(state, &own, &state.residuals.values) < LEAST_SUPPORT {
                 dropped.extend(patch);
@@ -56,7 +56,7 @@ fn needless_satellites(state: &State<'_>) -> Vec<usize> {
     let width = SATELLITE_WIDTH * state.brdf.sigma;
     let mut lamps: Vec<(f32, Vec<usize>)> = patches(state, width)
         .into_iter()
-        .map(|cells| (flux(state, &cells), cells))
+        .map(|cells| (state.flux(&cells), cells))
         .collect();
     lamps.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut dropped = Vec::new();
@@ -94,11 +94,6 @@ fn drop_cells(state: &mut State<'_>, dropped: &[usize], precision: Precision) ->
     true
 }
 
-/// Σ over cells and channels of radiance times solid angle.
-fn flux(state: &State<'_>, cells: &[usize]) -> f32 {
-    cells.iter().map(|&k| state.flux(k)).sum()
-}
-
 /// Radiances with some of the cells dark.
 fn darkened(radiance: &[[f32; 3]], cells: &[usize]) -> Vec<[f32; 3]> {
     let mut darkened = radiance.to_vec();
@@ -123,20 +118,7 @@ pub fn patches(state: &State<'_>, width: f32) -> Vec<Vec<usize>> {
     let together = |i: usize, j: usize| {
         state.is_beside(i, j) || directions[i].distance_squared(directions[j]) < width * width
     };
-    let mut left = state.lit();
-    let mut patches = Vec::new();
-    while let Some(first) = left.pop() {
-        let mut patch = vec![first];
-        let mut next = 0;
-        while let Some(&cell) = patch.get(next) {
-            next += 1;
-            let (near, far): (Vec<_>, Vec<_>) = left.iter().partition(|&&k| together(k, cell));
-            patch.extend(near);
-            left = far;
-        }
-        patches.push(patch);
-    }
-    patches
+    linked_groups(state.lit(), |&i, &j| together(i, j))
 }
 
 /// What some lights show at the rows that others do not, each point's best diffuse colour taken out.

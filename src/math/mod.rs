@@ -2,6 +2,7 @@
 
 pub mod centred;
 pub mod exp;
+pub mod groups;
 pub mod nnls;
 pub mod random;
 pub mod rounding;
