@@ -8,6 +8,7 @@ use std::ops::{ControlFlow, Range};
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
+use smallvec::{SmallVec, smallvec};
 
 use super::reflection::Surroundings;
 use super::samples::{Sample, Samples, bands};
@@ -79,12 +80,25 @@ struct Piece {
     members: u64,
 }
 
+/// Those of a pixel, the largest first: one but for the pixels at edges.
+type Pieces = SmallVec<[Piece; 1]>;
+
 /// A pixel before it is written.
 #[derive(Clone, Copy, Default)]
 struct Pixel {
     coverage: f32,
     diffuse: Vec3,
     specular: Vec3,
+}
+
+impl Pixel {
+    /// A dark pixel in which some of so many sub-samples meet the object.
+    fn covered_by(samples: usize, full: usize) -> Self {
+        Self {
+            coverage: samples as f32 * (1.0 / full as f32),
+            ..Self::default()
+        }
+    }
 }
 
 /// Some rows of a picture, pixel by pixel from the left of the first row.
@@ -247,7 +261,7 @@ impl Tile<'_> {
         if (0..count).all(|i| self.samples_of(i).is_empty()) {
             return vec![Pixel::default(); count];
         }
-        let pieces: Vec<Vec<Piece>> = (0..count)
+        let pieces: Vec<Pieces> = (0..count)
             .map(|i| self.pieces(self.samples_of(i)))
             .collect();
         let mains: Vec<Option<ShadingPoint>> = pieces
@@ -262,11 +276,9 @@ impl Tile<'_> {
         let groups = self.shader.groups();
         let needed: Vec<bool> = mains
             .iter()
+            .map(|main| main.as_ref().map(|p| (p, self.view(p))))
             .flat_map(|main| (0..groups).map(move |g| (main, g)))
-            .map(|(main, g)| {
-                main.as_ref()
-                    .is_some_and(|p| self.relit || self.shader.is_in_lobe(g, p, self.view(p)))
-            })
+            .map(|(main, g)| main.is_some_and(|(p, view)| self.is_lit(g, p, view)))
             .collect();
         let wanted = |index: usize, group: usize| needed[index * groups + group];
         let visibility =
@@ -276,36 +288,47 @@ impl Tile<'_> {
         (0..count)
             .map(|index| {
                 let samples = self.samples_of(index);
-                if samples.is_empty() {
+                let Some(main) = &mains[index] else {
                     return Pixel::default();
-                }
-                let main = &visibility[index * groups..(index + 1) * groups];
-                let edge = self.has_shadow_edge(&mains, &visibility, index, &wanted);
-                let mut shades: Vec<(Shade, Piece)> = if edge {
-                    self.quarters(&pieces[index], samples)
-                        .into_iter()
-                        .map(|piece| (self.shade_alone(&piece.point), piece))
-                        .collect()
-                } else {
-                    pieces[index]
-                        .iter()
-                        .enumerate()
-                        .map(|(i, piece)| {
-                            let shade = if i == 0 {
-                                self.shade(&piece.point, main)
-                            } else {
-                                self.shade_with_neighbours(&piece.point, main)
-                            };
-                            (shade, *piece)
-                        })
-                        .collect()
                 };
-                if let (Some(main), Some(mirrored)) = (&mains[index], mirrored.get(index)) {
-                    for (shade, piece) in &mut shades {
-                        shade.specular += self.reflected(piece, main, *mirrored);
+                let mut pixel = Pixel::covered_by(samples.len(), self.samples.full());
+                let mut add = |mut shade: Shade, piece: &Piece| {
+                    if let Some(&mirrored) = mirrored.get(index) {
+                        shade.specular += self.reflected(piece, main, mirrored);
+                    }
+                    self.add(&mut pixel, samples, &shade, piece, diffuse);
+                };
+                let seen = &visibility[index * groups..(index + 1) * groups];
+                let (first, others) = (&pieces[index][0], &pieces[index][1..]);
+                let edges = self.shadow_edges(&mains, &visibility, index, &wanted);
+                let is_cut = edges.contains(&true);
+                if is_cut {
+                    let alike = |g: usize| wanted(index, g) && !edges[g];
+                    // A pixel of one sample has no quarters: what was cast for it holds.
+                    let cast =
+                        |g: usize| matches!(seen[g], Visibility::Part(_)) && samples.len() == 1;
+                    let known = |g: usize| (alike(g) || cast(g)).then(|| seen[g].clone());
+                    for quarter in self.quarters(first, samples) {
+                        add(self.shade_with(&quarter.point, known), &quarter);
+                    }
+                } else {
+                    add(self.shade(&first.point, seen), first);
+                }
+                // Smooth light is on other surfaces as on the pixel's main one, shadows are not.
+                let smooth = |g: usize| {
+                    let is_smooth = matches!(seen[g], Visibility::Fraction(_));
+                    is_smooth.then(|| seen[g].clone())
+                };
+                for piece in others {
+                    if is_cut {
+                        for quarter in self.quarters(piece, samples) {
+                            add(self.shade_with(&quarter.point, smooth), &quarter);
+                        }
+                    } else {
+                        add(self.shade_with(&piece.point, smooth), piece);
                     }
                 }
-                self.resolve(samples, &shades, diffuse)
+                pixel
             })
             .collect()
     }
@@ -314,7 +337,7 @@ impl Tile<'_> {
     /// every fourth pixel in each direction and interpolated where the surface between them is smooth.
     fn mirrored(
         &self,
-        pieces: &[Vec<Piece>],
+        pieces: &[Pieces],
         mains: &[Option<ShadingPoint>],
         spacing: f32,
     ) -> Vec<Vec3> {
@@ -402,40 +425,40 @@ impl Tile<'_> {
             .map_or(1.0, |b| (2.0 * b.sigma).min(0.3).cos())
     }
 
-    /// Adds up a pixel's sub-samples.
-    fn resolve(&self, samples: &[Sample], shades: &[(Shade, Piece)], diffuse: Diffuse) -> Pixel {
+    /// Adds the sub-samples of one of a pixel's pieces.
+    fn add(
+        &self,
+        pixel: &mut Pixel,
+        samples: &[Sample],
+        shade: &Shade,
+        piece: &Piece,
+        diffuse: Diffuse,
+    ) {
         let share = 1.0 / self.samples.full() as f32;
-        let mut pixel = Pixel {
-            coverage: samples.len() as f32 * share,
-            ..Pixel::default()
-        };
-        for (shade, piece) in shades {
-            pixel.specular += shade.specular * (piece.members.count_ones() as f32 * share);
-            let (atlas, texture, light, indirect) = match diffuse {
-                Diffuse::Absent => continue,
-                Diffuse::Stored(atlas, texture) => (atlas, texture, Vec3::ONE, None),
-                Diffuse::Relit(atlas, albedo) => {
-                    (atlas, albedo, shade.irradiance, self.scene.surroundings)
-                }
-            };
-            let cos_view = piece.point.normal.dot(self.view(&piece.point));
-            let through = self
-                .scene
-                .brdf
-                .map_or(1.0, |b| b.diffuse_transmittance(cos_view));
-            let mut sum = Vec3::ZERO;
-            for (i, sample) in samples.iter().enumerate() {
-                if piece.members >> i & 1 == 1 {
-                    let around = indirect.map_or(Vec3::ZERO, |indirect| {
-                        indirect.irradiance(self.scene.mesh, sample.triangle, sample.barycentric)
-                    });
-                    sum += atlas.sample(texture, sample.triangle, sample.barycentric)
-                        * (light + around);
-                }
+        pixel.specular += shade.specular * (piece.members.count_ones() as f32 * share);
+        let (atlas, texture, light, indirect) = match diffuse {
+            Diffuse::Absent => return,
+            Diffuse::Stored(atlas, texture) => (atlas, texture, Vec3::ONE, None),
+            Diffuse::Relit(atlas, albedo) => {
+                (atlas, albedo, shade.irradiance, self.scene.surroundings)
             }
-            pixel.diffuse += sum * (share * through);
+        };
+        let cos_view = piece.point.normal.dot(self.view(&piece.point));
+        let through = self
+            .scene
+            .brdf
+            .map_or(1.0, |b| b.diffuse_transmittance(cos_view));
+        let mut sum = Vec3::ZERO;
+        for (i, sample) in samples.iter().enumerate() {
+            if piece.members >> i & 1 == 1 {
+                let around = indirect.map_or(Vec3::ZERO, |indirect| {
+                    indirect.irradiance(self.scene.mesh, sample.triangle, sample.barycentric)
+                });
+                sum +=
+                    atlas.sample(texture, sample.triangle, sample.barycentric) * (light + around);
+            }
         }
-        pixel
+        pixel.diffuse += sum * (share * through);
     }
 
     fn point(&self, sample: &Sample) -> ShadingPoint {
@@ -443,10 +466,17 @@ impl Tile<'_> {
     }
 
     /// Groups a pixel's samples into smooth pieces, the largest first.
-    fn pieces(&self, samples: &[Sample]) -> Vec<Piece> {
-        let Some(first) = samples.first() else {
-            return Vec::new();
+    fn pieces(&self, samples: &[Sample]) -> Pieces {
+        let [first, others @ ..] = samples else {
+            return Pieces::new();
         };
+        if others.is_empty() {
+            return smallvec![Piece {
+                point: self.point(first),
+                sample: *first,
+                members: 1,
+            }];
+        }
         if samples.iter().all(|s| s.triangle == first.triangle) {
             let sum: Vec2 = samples.iter().map(|s| s.barycentric).sum();
             let mean = Sample {
@@ -461,7 +491,7 @@ impl Tile<'_> {
                 self.point(&samples[samples.len() - 1]).normal,
             ];
             if ends.iter().all(|n| n.dot(point.normal) > self.piece_cos()) {
-                return vec![Piece {
+                return smallvec![Piece {
                     point,
                     sample: mean,
                     members: bits(samples.len()),
@@ -470,7 +500,7 @@ impl Tile<'_> {
         }
         let points: Vec<ShadingPoint> = samples.iter().map(|s| self.point(s)).collect();
         let mut left = bits(samples.len());
-        let mut pieces = Vec::new();
+        let mut pieces = Pieces::new();
         let mut seed = samples.len() / 2;
         while left != 0 {
             if left >> seed & 1 == 0 {
@@ -512,55 +542,52 @@ impl Tile<'_> {
         (PIECE_ROUGHNESS * roughness).min(PIECE_ANGLE).cos()
     }
 
-    /// Cuts a pixel's pieces into the quarters of the pixel.
-    fn quarters(&self, pieces: &[Piece], samples: &[Sample]) -> Vec<Piece> {
+    /// Cuts a pixel's piece into the quarters of the pixel.
+    fn quarters(&self, piece: &Piece, samples: &[Sample]) -> SmallVec<[Piece; 4]> {
         let (factor, half) = (
             self.samples.factor as usize,
             (self.samples.factor / 2) as usize,
         );
-        let mut cut = Vec::with_capacity(4 * pieces.len());
-        for piece in pieces {
-            for quarter in 0..4 {
-                let mut members = 0_u64;
-                let mut sum = Vec3::ZERO;
-                for (i, s) in samples.iter().enumerate() {
-                    let (column, row) =
-                        (usize::from(s.slot) % factor, usize::from(s.slot) / factor);
-                    let here = usize::from(row >= half) * 2 + usize::from(column >= half);
-                    if piece.members >> i & 1 == 1 && here == quarter {
-                        members |= 1 << i;
-                        sum += self.point(s).position;
-                    }
+        let mut cut = SmallVec::new();
+        for quarter in 0..4 {
+            let mut members = 0_u64;
+            let mut sum = Vec3::ZERO;
+            for (i, s) in samples.iter().enumerate() {
+                let (column, row) = (usize::from(s.slot) % factor, usize::from(s.slot) / factor);
+                let here = usize::from(row >= half) * 2 + usize::from(column >= half);
+                if piece.members >> i & 1 == 1 && here == quarter {
+                    members |= 1 << i;
+                    sum += self.point(s).position;
                 }
-                if members == 0 {
-                    continue;
-                }
-                let middle = sum / members.count_ones() as f32;
-                let nearest = (0..samples.len())
-                    .filter(|i| members >> i & 1 == 1)
-                    .map(|i| (self.point(&samples[i]), samples[i]))
-                    .min_by(|(a, _), (b, _)| {
-                        let d = |p: &ShadingPoint| p.position.distance_squared(middle);
-                        d(a).total_cmp(&d(b))
-                    });
-                cut.extend(nearest.map(|(point, sample)| Piece {
-                    point,
-                    sample,
-                    members,
-                }));
             }
+            if members == 0 {
+                continue;
+            }
+            let middle = sum / members.count_ones() as f32;
+            let nearest = (0..samples.len())
+                .filter(|i| members >> i & 1 == 1)
+                .map(|i| (self.point(&samples[i]), samples[i]))
+                .min_by(|(a, _), (b, _)| {
+                    let d = |p: &ShadingPoint| p.position.distance_squared(middle);
+                    d(a).total_cmp(&d(b))
+                });
+            cut.extend(nearest.map(|(point, sample)| Piece {
+                point,
+                sample,
+                members,
+            }));
         }
         cut
     }
 
-    /// Whether a lamp's shadow ends in this pixel or between it and a neighbour.
-    fn has_shadow_edge(
+    /// Whether the shadow of each group ends in this pixel or between it and a neighbour.
+    fn shadow_edges(
         &self,
         mains: &[Option<ShadingPoint>],
         visibility: &[Visibility],
         index: usize,
         wanted: &dyn Fn(usize, usize) -> bool,
-    ) -> bool {
+    ) -> SmallVec<[bool; 16]> {
         let groups = self.shader.groups();
         let (x, y) = (index % self.size[0], index / self.size[0]);
         let neighbours = [
@@ -569,7 +596,7 @@ impl Tile<'_> {
             (y > 0).then(|| index - self.size[0]),
             (y + 1 < self.size[1]).then(|| index + self.size[0]),
         ];
-        (0..groups).any(|g| {
+        let has_edge = |g: usize| {
             if !self.shader.is_sharp(g) || !wanted(index, g) {
                 return false;
             }
@@ -578,7 +605,13 @@ impl Tile<'_> {
             neighbours.iter().flatten().any(|&n| {
                 mains[n].is_some() && wanted(n, g) && (share(n) - here).abs() > EDGE_SHARE
             })
-        })
+        };
+        (0..groups).map(has_edge).collect()
+    }
+
+    /// Whether a group may add to what is seen of a point.
+    fn is_lit(&self, group: usize, point: &ShadingPoint, view: Vec3) -> bool {
+        self.relit || self.shader.is_in_lobe(group, point, view)
     }
 
     /// Shades a point whose visibilities are known.
@@ -592,32 +625,19 @@ impl Tile<'_> {
         }
     }
 
-    /// Shades a point that has no visibilities yet.
-    fn shade_alone(&self, point: &ShadingPoint) -> Shade {
+    /// Shades a point of which some groups' visibility is known; the others' is found out.
+    fn shade_with(
+        &self,
+        point: &ShadingPoint,
+        known: impl Fn(usize) -> Option<Visibility>,
+    ) -> Shade {
         let view = self.view(point);
-        let visibility: Vec<Visibility> = (0..self.shader.groups())
+        let visibility: SmallVec<[Visibility; 4]> = (0..self.shader.groups())
             .map(|g| {
-                if self.relit || self.shader.is_in_lobe(g, point, view) {
-                    self.shader.cast(point, g)
+                if self.is_lit(g, point, view) {
+                    known(g).unwrap_or_else(|| self.shader.cast(point, g))
                 } else {
                     Visibility::Below
-                }
-            })
-            .collect();
-        self.shade(point, &visibility)
-    }
-
-    /// Shades a further piece of a pixel: smooth light is as for the pixel's main piece.
-    fn shade_with_neighbours(&self, point: &ShadingPoint, main: &[Visibility]) -> Shade {
-        let view = self.view(point);
-        let visibility: Vec<Visibility> = (0..self.shader.groups())
-            .map(|g| {
-                if !(self.relit || self.shader.is_in_lobe(g, point, view)) {
-                    Visibility::Below
-                } else if matches!(main[g], Visibility::Fraction(_)) {
-                    main[g].clone()
-                } else {
-                    self.shader.cast(point, g)
                 }
             })
             .collect();

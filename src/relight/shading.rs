@@ -14,6 +14,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{Mat2, Vec2, Vec3};
+use smallvec::SmallVec;
 
 use super::lighting::{LampNodes, LightNode, Lighting};
 use super::patches::{self, patches};
@@ -641,6 +642,9 @@ impl<'a> Shader<'a> {
         };
         let terms = brdf.view_terms(point.normal, view);
         for (group, seen) in self.groups.iter().zip(visibility) {
+            if matches!(seen, Visibility::Below | Visibility::Hidden) {
+                continue;
+            }
             let (axis, falloff, _) = group.towards(group.axis, point.position);
             let (reach, between) = (group.reach_from(falloff), (axis + view).length());
             if self.support.holds(axis, reach, point.normal, view) {
@@ -826,9 +830,10 @@ pub(super) fn corners(
     [x, y]: [usize; 2],
     spacing: f32,
     min_cos: f32,
-) -> Vec<(usize, f32)> {
+) -> SmallVec<[(usize, f32); 4]> {
+    let mut found = SmallVec::new();
     let Some(point) = &points[y * width + x] else {
-        return Vec::new();
+        return found;
     };
     let ends = |at: usize, limit: usize| {
         let low = at - at % STRIDE;
@@ -841,7 +846,6 @@ pub(super) fn corners(
         [(low, 1.0 - t), (high, t)]
     };
     let reach = SAME_SURFACE_STEPS * STRIDE as f32 * spacing;
-    let mut found = Vec::with_capacity(4);
     for (cy, wy) in ends(y, height) {
         for (cx, wx) in ends(x, width) {
             let index = cy * width + cx;
