@@ -15,6 +15,9 @@ const COLOURS: [RGBColor; 5] = [
     RGBColor(204, 121, 167),
     RGBColor(0, 0, 0),
 ];
+/// Height of the legend above all panels, and the room that a letter in it takes; pixels.
+const LEGEND: u32 = 28;
+const LETTER: i32 = 7;
 /// Most marks on an axis of decades.
 const MOST_DECADES: i32 = 6;
 
@@ -26,7 +29,7 @@ pub(crate) struct Panel {
     pub x: Axis,
     /// Upward.
     pub y: Axis,
-    /// In turn in the colours.
+    /// In turn in the colours; those of all panels of a picture have the same names.
     pub curves: Vec<Curve>,
 }
 
@@ -44,7 +47,7 @@ pub(crate) enum Axis {
 
 /// Points joined by lines.
 pub(crate) struct Curve {
-    /// In the legend; there is none without names.
+    /// In the picture's legend; there is none without names.
     pub name: String,
     /// From left to right.
     pub points: Vec<Dot>,
@@ -76,7 +79,8 @@ impl Dot {
 pub(crate) fn draw(panels: &[Panel], columns: usize, size: [u32; 2]) -> io::Result<String> {
     let columns = columns.min(panels.len()).max(1);
     let rows = panels.len().div_ceil(columns);
-    let whole = (columns as u32 * size[0], rows as u32 * size[1]);
+    let legend = LEGEND * u32::from(!legend_of(panels).is_empty());
+    let whole = (columns as u32 * size[0], rows as u32 * size[1] + legend);
     let mut svg = String::new();
     draw_all(&mut svg, panels, (rows, columns), whole)
         .map_err(|error| io::Error::other(error.to_string()))?;
@@ -89,10 +93,42 @@ type Drawn = Result<(), DrawingAreaErrorKind<io::Error>>;
 fn draw_all(svg: &mut String, panels: &[Panel], split: (usize, usize), size: (u32, u32)) -> Drawn {
     let root = SVGBackend::with_string(svg, size).into_drawing_area();
     root.fill(&WHITE)?;
-    for (area, panel) in root.split_evenly(split).iter().zip(panels) {
+    let legend = legend_of(panels);
+    let below = if legend.is_empty() {
+        root.clone()
+    } else {
+        let (strip, below) = root.split_vertically(LEGEND);
+        draw_legend(&strip, &legend)?;
+        below
+    };
+    for (area, panel) in below.split_evenly(split).iter().zip(panels) {
         panel.draw(area)?;
     }
     root.present()
+}
+
+/// Names of the curves, the same in all panels; none where they have none.
+fn legend_of(panels: &[Panel]) -> Vec<&str> {
+    let curves = panels.first().map_or(&[][..], |panel| &panel.curves);
+    let names = curves.iter().map(|curve| curve.name.as_str());
+    names.filter(|name| !name.is_empty()).collect()
+}
+
+/// A line above all panels, so that it covers no curve.
+fn draw_legend(strip: &Area<'_>, names: &[&str]) -> Drawn {
+    let middle = LEGEND as i32 / 2 + 2;
+    let mut x = 16;
+    for (name, colour) in names.iter().zip(COLOURS.into_iter().cycle()) {
+        let line = [(x, middle), (x + 18, middle)];
+        strip.draw(&PathElement::new(line, colour.stroke_width(2)))?;
+        strip.draw(&Text::new(
+            (*name).to_owned(),
+            (x + 24, middle - 7),
+            ("sans-serif", 13),
+        ))?;
+        x += 48 + LETTER * name.chars().count() as i32;
+    }
+    Ok(())
 }
 
 impl Panel {
@@ -116,23 +152,13 @@ impl Panel {
         for (curve, colour) in self.curves.iter().zip(COLOURS.into_iter().cycle()) {
             let style = colour.stroke_width(2);
             let line = curve.points.iter().map(|p| (p.x, p.y));
-            chart
-                .draw_series(LineSeries::new(line, style))?
-                .label(&curve.name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], style));
+            chart.draw_series(LineSeries::new(line, style))?;
             let bars = curve.points.iter().filter_map(|p| {
                 let [low, high] = p.interval?;
                 let ends = [low, high].map(|end| (p.x, end));
                 Some(PathElement::new(ends, colour.mix(0.5).stroke_width(5)))
             });
             chart.draw_series(bars)?;
-        }
-        if self.curves.iter().any(|curve| !curve.name.is_empty()) {
-            chart
-                .configure_series_labels()
-                .position(SeriesLabelPosition::UpperRight)
-                .background_style(WHITE.mix(0.8))
-                .draw()?;
         }
         Ok(())
     }

@@ -53,11 +53,7 @@ pub(super) fn plots(
     plots
         .into_iter()
         .filter(|(_, _, panels)| !panels.is_empty())
-        .map(|(name, caption, mut panels)| {
-            // The first panel's legend is for all.
-            for curve in panels.iter_mut().skip(1).flat_map(|p| &mut p.curves) {
-                curve.name.clear();
-            }
+        .map(|(name, caption, panels)| {
             let file = format!("{}_{name}.svg", section.name());
             Ok((file, caption, draw(&panels, COLUMNS, SIZE)?))
         })
