@@ -284,3 +284,49 @@ fn ctrl_c_leaves_nothing_at_any_moment() {
     nothing_new("writing the solution anew", &["solution"]);
     assert!(rekindle(&["info", &solution]).status.success());
 }
+
+#[test]
+fn what_has_not_changed_is_not_solved_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = folder.path().join("capture");
+    std::fs::create_dir_all(own.join("images")).unwrap();
+    for part in ["", "images"] {
+        for (file, bytes) in contents(&capture("spot_paper").join(part)) {
+            std::fs::write(own.join(part).join(file), bytes).unwrap();
+        }
+    }
+    let solution = folder.path().join("solution");
+    let is_kept = |more: &[&str]| {
+        let paths = [own.to_str().unwrap(), "-o", solution.to_str().unwrap()];
+        let run = rekindle(&[&["solve", "--json", "--frequency", "30"], &paths[..], more].concat());
+        let message = String::from_utf8_lossy(&run.stderr);
+        assert!(run.status.success(), "{message}");
+        let summary: Value = serde_json::from_slice(&run.stdout).unwrap();
+        assert!(summary["sigma"].as_f64().unwrap() > 0.0);
+        summary["unchanged"].as_bool().unwrap()
+    };
+    assert!(!is_kept(&[]), "there is none yet");
+    let written = || {
+        let manifest = std::fs::metadata(solution.join("solution.json")).unwrap();
+        manifest.modified().unwrap()
+    };
+    let first = written();
+    assert!(is_kept(&[]));
+    assert_eq!(written(), first, "nothing is written");
+
+    assert!(!is_kept(&["--do-all", "unchanged"]), "asked for");
+    assert!(!is_kept(&["--specular", "paper"]), "other options");
+    assert!(!is_kept(&[]), "the options before");
+
+    let damaged = solution.join("diffuse.exr");
+    let bytes = std::fs::read(&damaged).unwrap();
+    std::fs::write(&damaged, &bytes[..bytes.len() / 2]).unwrap();
+    assert!(!is_kept(&[]), "a damaged solution is no solution");
+
+    let manifest = own.join("transforms.json");
+    let mut cameras = read_json(&manifest);
+    let height = &mut cameras["frames"][0]["transform_matrix"][1][3];
+    *height = (height.as_f64().unwrap() + 1e-5).into();
+    std::fs::write(&manifest, cameras.to_string()).unwrap();
+    assert!(!is_kept(&[]), "a camera was moved");
+}

@@ -6,6 +6,7 @@ mod clipping;
 mod colmap;
 mod demo;
 mod error;
+mod fingerprint;
 mod gltf;
 mod load;
 mod manifest;

@@ -15,7 +15,7 @@ use crate::capture::Capture;
 use crate::estimate::{
     EstimateParams, Iteration, Method, Observer, Shortcut, SpecularChoice, SpecularModel,
 };
-use crate::solution::{Solution, SolveOptions, check_destination, solve};
+use crate::solution::{Solution, SolveOptions, check_destination, origin, solve};
 
 /// Frequency of the hemisphere up to which all its nodes can be unknowns at once: 2000 of them.
 const MOST_DENSE: u32 = 20;
@@ -70,18 +70,22 @@ enum ShortcutArg {
     ShadowRays,
     /// Try all roughnesses, for both specular models
     Roughnesses,
+    /// Solve again what has not changed since the solution that is there was written
+    Unchanged,
 }
 
 impl ShortcutArg {
-    fn shortcut(self) -> Shortcut {
-        match self {
+    /// The estimation's; none where the whole of it is what would be left out.
+    fn shortcut(self) -> Option<Shortcut> {
+        Some(match self {
             Self::DarkCells => Shortcut::DarkCells,
             Self::FarCells => Shortcut::FarCells,
             Self::Lobes => Shortcut::Lobes,
             Self::UnlitPoints => Shortcut::UnlitPoints,
             Self::ShadowRays => Shortcut::ShadowRays,
             Self::Roughnesses => Shortcut::Roughnesses,
-        }
+            Self::Unchanged => return None,
+        })
     }
 }
 
@@ -158,7 +162,7 @@ impl EstimationArgs {
                 avoided: self
                     .do_all
                     .iter()
-                    .map(|shortcut| shortcut.shortcut())
+                    .filter_map(|shortcut| shortcut.shortcut())
                     .collect(),
             },
             frequency: self.frequency,
@@ -205,11 +209,38 @@ pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
     let capture = Capture::load(&args.capture)?;
     let load_s = started.elapsed().as_secs_f64();
     interrupt::check()?;
+    if let Some(solution) = unchanged(args, &capture) {
+        warn(&solution, &mut progress);
+        progress.finish();
+        report(args, output, &solution, solution.timings.clone(), true);
+        return Ok(());
+    }
     let solution = solve_capture(&capture, load_s, &args.options, &mut progress)?;
     progress.stage("writing the solution", 0.97);
     interrupt::check()?;
     let timings = solution.save(&args.output)?;
     progress.finish();
+    report(args, output, &solution, timings, false);
+    Ok(())
+}
+
+/// The solution that is there, if solving would give the same.
+fn unchanged(args: &SolveArgs, capture: &Capture) -> Option<Solution> {
+    if args.options.do_all.contains(&ShortcutArg::Unchanged) {
+        return None;
+    }
+    Solution::load_of_origin(&args.output, &origin(capture, &args.options.options()))
+}
+
+/// Says what was found and where it is; `timings` are the seconds of each stage, when it was found.
+fn report(
+    args: &SolveArgs,
+    output: OutputArgs,
+    solution: &Solution,
+    timings: Vec<(String, f64)>,
+    unchanged: bool,
+) {
+    let path = args.output.to_string_lossy().into_owned();
     if output.json {
         let mut summary = solution.summary();
         if let Some(object) = summary.as_object_mut() {
@@ -219,15 +250,25 @@ pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
                 .collect();
             object.insert("timings_s".to_owned(), seconds.into());
             object.insert("peak_bytes".to_owned(), peak().into());
-            let path = args.output.to_string_lossy().into_owned();
             object.insert("solution".to_owned(), path.into());
+            object.insert("unchanged".to_owned(), unchanged.into());
         }
         print_json(&summary);
     } else if !output.quiet {
-        let output = args.output.display();
-        print_line(&format!("{output}: {}", describe(&solution)));
+        let found = describe(solution);
+        let kept = if unchanged {
+            "; nothing has changed since it was solved (--do-all unchanged solves it again)"
+        } else {
+            ""
+        };
+        print_line(&format!("{path}: {found}{kept}"));
     }
-    Ok(())
+}
+
+fn warn(solution: &Solution, progress: &mut Progress) {
+    for warning in &solution.diagnostics.warnings {
+        progress.warn(warning);
+    }
 }
 
 /// Solves a capture, with progress and warnings.
@@ -239,9 +280,7 @@ pub(super) fn solve_capture(
 ) -> anyhow::Result<Solution> {
     let solution = solve(capture, &options.options(), load_s, &mut Shown(progress))
         .map_err(Interrupted::from)?;
-    for warning in &solution.diagnostics.warnings {
-        progress.warn(warning);
-    }
+    warn(&solution, progress);
     Ok(solution)
 }
 

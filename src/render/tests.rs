@@ -78,6 +78,7 @@ fn solved(brdf: Option<Brdf>, radius: Option<f32>) -> Solution {
         method: Method::default(),
         brdf,
         chosen_because: String::new(),
+        origin: String::new(),
         corrections: Vec::new(),
         sigma_interval95: None,
         grid,

@@ -22,6 +22,9 @@ pub(super) struct Manifest {
     pub(super) format: String,
     pub(super) version: u32,
     pub(super) name: String,
+    /// Nothing in solutions that were written before it was kept.
+    #[serde(default)]
+    pub(super) origin: String,
     pub(super) method: Method,
     pub(super) specular_model: Option<SpecularModel>,
     pub(super) chosen_because: String,

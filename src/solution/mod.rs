@@ -14,6 +14,7 @@ mod error;
 mod exr_file;
 mod format;
 mod mesh_file;
+mod origin;
 mod solve;
 mod staging;
 
@@ -21,6 +22,7 @@ pub use error::SolutionError;
 pub use exr_file::{write_rgb, write_rgba};
 pub use format::{Fit, Skipped};
 pub use mesh_file::{write_obj, write_plain_obj};
+pub use origin::origin;
 pub use solve::{SolveOptions, solve};
 pub use staging::{Staging, abandon_unfinished};
 
@@ -78,6 +80,8 @@ pub struct HemispherePicture {
 pub struct Solution {
     /// The capture's name.
     pub name: String,
+    /// What it was made of, see [`origin`]; empty in solutions that were written before this was kept.
+    pub origin: String,
     /// The estimation method.
     pub method: Method,
     /// Specular model and roughness; `None` where no specular part was found.
@@ -280,6 +284,7 @@ impl Solution {
             format: FORMAT.to_owned(),
             version: VERSION,
             name: self.name.clone(),
+            origin: self.origin.clone(),
             method: self.method,
             specular_model: self.brdf.map(|b| b.model),
             chosen_because: self.chosen_because.clone(),
@@ -366,6 +371,7 @@ impl Solution {
             .collect();
         Ok(Self {
             name: manifest.name,
+            origin: manifest.origin,
             method: manifest.method,
             brdf: manifest
                 .specular_model
@@ -702,6 +708,7 @@ mod tests {
                 sigma: 0.075_123,
             }),
             chosen_because: "it was asked for".to_owned(),
+            origin: String::new(),
             corrections: Vec::new(),
             sigma_interval95: Some([0.07, 0.08]),
             lamps: vec![SolutionLamp {

@@ -6,11 +6,11 @@ use std::time::Instant;
 
 use glam::Vec3;
 
-use super::{Fit, HemispherePicture, Skipped, Solution, SolutionLamp, lighting};
+use super::{Fit, HemispherePicture, Skipped, Solution, SolutionLamp, lighting, origin};
 use crate::capture::{Camera, Capture, Mesh, View};
 use crate::estimate::{
-    Diagnostics, Estimate, EstimateInput, EstimateParams, Interim, Iteration, Observer, Stopped,
-    estimate, watched,
+    Brdf, Diagnostics, Estimate, EstimateInput, EstimateParams, Interim, Iteration, Observer,
+    Stopped, estimate, watched,
 };
 use crate::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
@@ -18,7 +18,8 @@ use crate::hemisphere::{
 use crate::math::rounding::round_to_halves;
 use crate::registration::{Correction, corrected, describe, register};
 use crate::relight::{
-    Interreflection, Scene, Shader, Surroundings, ViewFit, reconstruct, separate,
+    Albedo, DiffuseTexture, Interreflection, Lighting, Scene, Shader, Surroundings, ViewFit,
+    reconstruct, separate,
 };
 use crate::surface::{
     Atlas, MinimumTexture, Occluder, ViewSurface, minimum_texture, wanted_density,
@@ -132,42 +133,18 @@ pub fn solve(
         measured = Measured::new(mesh, &capture.views, observer, TEXTURE)?;
         minimum = minimum_texture(mesh, &measured.atlas, &capture.views, &measured.surfaces);
     }
-    let Measured {
-        occluder, atlas, ..
-    } = measured;
     clock.lap("estimate");
 
     let lamps = name_lamps(&grid, &found);
     let light = lighting(&grid, &found.radiance, &lamps, Vec3::ZERO);
-    let (mut texture, albedo) = watched(observer, |watcher| {
-        let stop = watcher.stop();
-        let mut observer = watcher;
-        report(&mut observer, TEXTURE)?;
-        let interreflection = Interreflection::new(mesh, &occluder, found.brdf);
-        // What the surface mirrors of itself is small: the first guess at its texture will do.
-        let scene = Scene {
-            mesh,
-            occluder: &occluder,
-            brdf: found.brdf,
-            surroundings: interreflection
-                .as_ref()
-                .map(|interreflection| Surroundings {
-                    interreflection,
-                    atlas: &atlas,
-                    texture: &minimum.radiance,
-                    relit: None,
-                }),
-        };
-        let shader = Shader::new(&occluder, found.brdf, &light).stopped_by(stop);
-        let mut texture = reconstruct(&scene, &capture.views, &atlas, &shader);
-        clock.lap("texture");
-        report(&mut observer, ALBEDO)?;
-        let albedo = separate(&scene, &atlas, &shader, &mut texture);
-        clock.lap("albedo");
-        // What long loops give after a stop is of no use.
-        report(&mut observer, ALBEDO)?;
-        Ok((texture, albedo))
-    })?;
+    let sight = Sight {
+        mesh,
+        measured: &measured,
+        views: &capture.views,
+    };
+    let (mut texture, albedo) =
+        textures(&sight, found.brdf, &light, &minimum, &mut clock, observer)?;
+    let atlas = measured.atlas;
 
     let skipped = skipped(&found, &corrections);
     round_to_halves(&mut texture.confidence);
@@ -179,6 +156,7 @@ pub fn solve(
     ];
     Ok(Solution {
         name: stated.name.clone(),
+        origin: origin(stated, options),
         method: found.method,
         brdf: found.brdf,
         chosen_because: found.chosen_because,
@@ -203,6 +181,60 @@ pub fn solve(
         albedo: rounded(albedo.albedo),
         confidence: texture.confidence,
         pictures,
+    })
+}
+
+/// What textures are made of.
+struct Sight<'a> {
+    mesh: &'a Mesh,
+    measured: &'a Measured,
+    views: &'a [View],
+}
+
+/// The diffuse texture and the pseudo-albedo of what the views see, under the light that was found.
+fn textures(
+    sight: &Sight<'_>,
+    brdf: Option<Brdf>,
+    light: &Lighting,
+    minimum: &MinimumTexture,
+    clock: &mut Clock,
+    observer: &mut dyn Observer,
+) -> Result<(DiffuseTexture, Albedo), Stopped> {
+    let Sight {
+        mesh,
+        measured: Measured {
+            occluder, atlas, ..
+        },
+        views,
+    } = sight;
+    watched(observer, |watcher| {
+        let stop = watcher.stop();
+        let mut observer = watcher;
+        report(&mut observer, TEXTURE)?;
+        let interreflection = Interreflection::new(mesh, occluder, brdf);
+        // What the surface mirrors of itself is small: the first guess at its texture will do.
+        let scene = Scene {
+            mesh,
+            occluder,
+            brdf,
+            surroundings: interreflection
+                .as_ref()
+                .map(|interreflection| Surroundings {
+                    interreflection,
+                    atlas,
+                    texture: &minimum.radiance,
+                    relit: None,
+                }),
+        };
+        let shader = Shader::new(occluder, brdf, light).stopped_by(stop);
+        let mut texture = reconstruct(&scene, views, atlas, &shader);
+        clock.lap("texture");
+        report(&mut observer, ALBEDO)?;
+        let albedo = separate(&scene, atlas, &shader, &mut texture);
+        clock.lap("albedo");
+        // What long loops give after a stop is of no use.
+        report(&mut observer, ALBEDO)?;
+        Ok((texture, albedo))
     })
 }
 

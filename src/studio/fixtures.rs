@@ -81,6 +81,7 @@ pub(crate) fn solution() -> Arc<Solution> {
         method: Method::default(),
         brdf,
         chosen_because: "it was made so".to_owned(),
+        origin: String::new(),
         corrections: Vec::new(),
         sigma_interval95: None,
         grid,
