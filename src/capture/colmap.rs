@@ -4,6 +4,7 @@
 //! the model's world frame.
 
 use super::error::CaptureError;
+use super::manifest::found;
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -129,11 +130,10 @@ pub(super) fn read(folder: &Path, images: &Path) -> Result<Value, CaptureError> 
 }
 
 fn frame(folder: &Path, image: &Image, mut fields: Map<String, Value>) -> Value {
-    let name = ["images", "input", ""]
+    let name = ["images/", "input/", ""]
         .iter()
-        .map(|place| Path::new(place).join(&image.name))
-        .find(|name| folder.join(name).is_file())
-        .unwrap_or_else(|| Path::new("images").join(&image.name));
+        .find_map(|place| found(folder, &format!("{place}{}", image.name)))
+        .unwrap_or_else(|| format!("images/{}", image.name));
     let [w, x, y, z] = image.rotation;
     let camera_from_world = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
     let world_from_camera = camera_from_world.transpose();
@@ -143,7 +143,7 @@ fn frame(folder: &Path, image: &Image, mut fields: Map<String, Value>) -> Value 
     let mut pose = DMat4::from_mat3(axes);
     pose.w_axis = position.extend(1.0);
     let rows = pose.transpose().to_cols_array_2d();
-    fields.insert("file_path".to_owned(), json!(name.to_string_lossy()));
+    fields.insert("file_path".to_owned(), json!(name));
     fields.insert("transform_matrix".to_owned(), json!(rows));
     Value::Object(fields)
 }

@@ -35,6 +35,7 @@ impl Capture {
 
     fn read(path: &Path, placed: bool) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
         let mut manifest = Manifest::read(path)?;
+        let mut warnings = Vec::from_iter(manifest.leave_out_missing());
         let table = Table::beside(&manifest.folder)?;
         brackets::settle(&mut manifest, &table)?;
         let read = |frame: &Frame| read_frame(&manifest, frame);
@@ -53,7 +54,6 @@ impl Capture {
                 Ok((file, mesh, warnings))
             },
         );
-        let mut warnings = Vec::new();
         let mut views = Vec::with_capacity(manifest.frames.len());
         let mut tally = Tally::default();
         let mut uses = Vec::new();
@@ -491,11 +491,14 @@ fn hemisphere(
     warnings: &mut Vec<String>,
 ) -> LightHemisphere {
     let up = manifest.up.unwrap_or_else(|| {
-        let sum: DVec3 = views.iter().map(|view| view.camera.up()).sum();
-        let (up, from) = match (sum / views.len() as f64).try_normalize() {
-            Some(up) if sum.length() > 0.05 * views.len() as f64 => {
-                (up, "the mean of the cameras' up vectors")
-            }
+        // Those left out were held upright too, and often stood all around.
+        let left_out = manifest.left_out.iter();
+        let left_out = left_out.map(|frame| frame.world_from_camera.matrix3.y_axis);
+        let ups = views.iter().map(|view| view.camera.up()).chain(left_out);
+        let ups: Vec<DVec3> = ups.collect();
+        let mean = ups.iter().sum::<DVec3>() / ups.len() as f64;
+        let (up, from) = match mean.try_normalize() {
+            Some(up) if mean.length() > 0.05 => (up, "the mean of the cameras' up vectors"),
             _ => (DVec3::Y, "the y axis, as the cameras' up vectors cancel"),
         };
         warnings.push(format!(

@@ -52,6 +52,10 @@ pub(super) struct Manifest {
     pub applied: Option<DMat4>,
     /// Whether cameras are of the pixels as they are stored, whatever the images' orientation.
     pub as_stored: bool,
+    /// Whether the program that found the cameras may have had more photographs than the capture.
+    pub partial: bool,
+    /// Frames of such photographs, once they are left out.
+    pub left_out: Vec<Frame>,
 }
 
 /// One frame: its files and its camera, which lacks its size if only the image tells.
@@ -302,6 +306,7 @@ impl Manifest {
                 let value = colmap::read(path, &images)?;
                 let mut manifest = Self::from_value(&value, images, path.to_owned())?;
                 manifest.as_stored = true;
+                manifest.partial = true;
                 return Ok(manifest);
             }
             let other = sfm_data::locate(path).or_else(|| reality_capture::locate(path));
@@ -335,10 +340,15 @@ impl Manifest {
             return Self::from_value(&value, path, folder);
         }
         let mut value = parse_json(bytes, &path)?;
-        if sfm_data::is_sfm_data(&value) {
+        let partial = sfm_data::is_sfm_data(&value);
+        if partial {
             value = sfm_data::convert(&path, &value)?;
         }
-        Self::from_value(&value, path, folder)
+        let manifest = Self::from_value(&value, path, folder)?;
+        Ok(Self {
+            partial,
+            ..manifest
+        })
     }
 
     /// Takes what a manifest states.
@@ -375,6 +385,26 @@ impl Manifest {
             radius,
             applied,
             as_stored: false,
+            partial: false,
+            left_out: Vec::new(),
+        })
+    }
+
+    /// Leaves out the photographs that the capture doesn't have, where there may be such, unless it has none. Cameras are
+    /// found from many photographs, but few are taken as HDR. Returns what a user should know.
+    pub(super) fn leave_out_missing(&mut self) -> Option<String> {
+        let here = |frame: &Frame| frame.exposures.iter().all(|e| e.path.is_file());
+        if !self.partial || !self.frames.iter().any(here) {
+            return None;
+        }
+        let all = self.frames.len();
+        (self.frames, self.left_out) = std::mem::take(&mut self.frames).into_iter().partition(here);
+        (!self.left_out.is_empty()).then(|| {
+            format!(
+                "{} of the {all} photographs that {} lists are not here and are left out.",
+                self.left_out.len(),
+                self.path.display()
+            )
         })
     }
 }
@@ -582,7 +612,8 @@ fn read_exposures(frame: &Fields, folder: &Path) -> Result<Vec<Exposure>, Captur
         .collect()
 }
 
-/// The file a path names: as written, with slashes turned round, or with an ending added.
+/// The file a path names: as written, with slashes turned round, with an ending added, or with another ending: cameras are
+/// often found from JPEG files of what was taken as HDR too.
 fn resolve(folder: &Path, name: &str) -> PathBuf {
     let plain = folder.join(name.strip_prefix("./").unwrap_or(name));
     if plain.is_file() {
@@ -592,16 +623,32 @@ fn resolve(folder: &Path, name: &str) -> PathBuf {
     if turned.is_file() {
         return turned;
     }
-    EXTENSIONS
+    let added = EXTENSIONS.iter().map(|extension| {
+        let mut with_ending = turned.clone().into_os_string();
+        with_ending.push(".");
+        with_ending.push(extension);
+        PathBuf::from(with_ending)
+    });
+    let known = |e: &&str| {
+        turned
+            .extension()
+            .is_some_and(|own| own.eq_ignore_ascii_case(e))
+    };
+    let replaced = EXTENSIONS
         .iter()
-        .map(|extension| {
-            let mut with_ending = turned.clone().into_os_string();
-            with_ending.push(".");
-            with_ending.push(extension);
-            PathBuf::from(with_ending)
-        })
+        .filter(|_| EXTENSIONS.iter().any(|e| known(&e)))
+        .map(|e| turned.with_extension(e));
+    added
+        .chain(replaced)
         .find(|candidate| candidate.is_file())
         .unwrap_or(plain)
+}
+
+/// The path of the file that a path names, if it is there, as the capture's folder has it.
+pub(super) fn found(folder: &Path, name: &str) -> Option<String> {
+    let path = resolve(folder, name);
+    let below = path.strip_prefix(folder).unwrap_or(&path);
+    path.is_file().then(|| below.to_string_lossy().into_owned())
 }
 
 fn read_lens(frame: &Fields, top: &Fields) -> Result<Lens, CaptureError> {

@@ -4,6 +4,7 @@
 //! column, with axes +X right, +Y down, looking along +Z. A file's version decides how a lens is stated.
 
 use super::error::CaptureError;
+use super::manifest::found;
 use glam::{DMat3, DMat4, DVec3};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -78,8 +79,8 @@ pub(super) fn convert(path: &Path, value: &Value) -> Result<Value, CaptureError>
 fn image(folder: &Path, stated: &str) -> String {
     let name = stated.rsplit(['/', '\\']).next().unwrap_or(stated);
     let places = [stated.to_owned(), name.to_owned(), format!("images/{name}")];
-    let found = places.iter().find(|place| folder.join(place).is_file());
-    found.unwrap_or(&places[2]).clone()
+    let here = places.iter().find_map(|place| found(folder, place));
+    here.unwrap_or_else(|| places[2].clone())
 }
 
 /// A text or number.

@@ -1032,6 +1032,45 @@ fn colmap_models_are_captures() {
 }
 
 #[test]
+fn a_model_may_be_of_more_photographs_than_the_capture() {
+    let (fixture, expected) = colmap_fixture(false);
+    let model = "sparse/0/images.txt";
+    let whole = fs::read_to_string(fixture.folder.path().join(model)).expect("model");
+    // The model is of JPEG files; a third one, upside down, was not taken as HDR.
+    let jpeg = whole.replace(".exr", ".jpg");
+    let more = "4 0 0 0 1 0 0 5 7 b.jpg\n\n5 0 1 0 0 0 0 5 7 c.jpg\n\n";
+    fixture.write("images/c.exr", bytes("rgba_half_zip.exr"));
+    fixture.write(model, jpeg.clone() + more);
+    let capture = Capture::load_unplaced(fixture.folder.path()).expect("a capture");
+    let names: Vec<&str> = capture.views.iter().map(|v| v.name.as_str()).collect();
+    assert_eq!(names, ["images/a b.exr", "images/c.exr"]);
+    assert_close(
+        capture.views[0].camera.position(),
+        expected.position(),
+        1e-9,
+    );
+    let note = &capture.warnings[0];
+    assert!(note.contains("1 of the 3 photographs"), "{note}");
+    assert!(note.contains("images.txt"), "{note}");
+    let ups: [DVec3; 2] = [0, 1].map(|i| capture.views[i].camera.up());
+    let left_out = DVec3::new(0.0, 1.0, 0.0);
+    let mean = (ups[0] + ups[1] + left_out).normalize_or_zero();
+    assert_close(capture.light_hemisphere.up, mean, 1e-9);
+    // All cameras are there to render from, and where no photograph is here the first is missed.
+    assert_eq!(
+        read_cameras(fixture.folder.path()).expect("cameras").len(),
+        3
+    );
+    fixture.write(model, more);
+    fs::remove_file(fixture.folder.path().join("images/c.exr")).expect("removed");
+    let message = Capture::load(fixture.folder.path()).expect_err("none");
+    assert!(
+        message.to_string().contains("b.jpg: no such image"),
+        "{message}"
+    );
+}
+
+#[test]
 fn damaged_colmap_models_never_panic() {
     let mut random = Random(9);
     for (binary, names) in [
