@@ -219,7 +219,12 @@ fn load(folder: &Path, uri: &str) -> Result<Vec<u8>, String> {
         return base64(text).ok_or_else(|| "broken base64".to_owned());
     }
     let name = percent_decoded(uri);
-    std::fs::read(folder.join(&name)).map_err(|error| format!("{name} can't be read: {error}"))
+    let file = folder.join(&name);
+    // Devices and pipes may never end.
+    if !file.is_file() {
+        return Err(format!("{name} can't be read: there is no such file"));
+    }
+    std::fs::read(file).map_err(|error| format!("{name} can't be read: {error}"))
 }
 
 fn base64(text: &str) -> Option<Vec<u8>> {

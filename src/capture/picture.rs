@@ -25,6 +25,11 @@ use std::path::Path;
 /// Most pixels an image may have: beyond any camera, and small enough to fit in memory.
 pub(super) const MAX_PIXELS: u64 = 256_000_000;
 
+/// Numbers that a file may announce whatever its length, and those for each of its bytes: what deflate makes of nothing but
+/// white, one bit a pixel.
+const FREE_SAMPLES: u64 = 24_000_000;
+const SAMPLES_PER_BYTE: u64 = 8_192;
+
 /// Largest finite half float, where renderers and cameras clamp.
 const HALF_MAX: f32 = 65_504.0;
 
@@ -149,6 +154,29 @@ fn check_pixels(path: &Path, width: u64, height: u64) -> Result<(), CaptureError
     Ok(())
 }
 
+/// Refuses more samples, in all channels and parts, than a file of so many bytes can hold.
+fn check_samples(path: &Path, bytes: &[u8], samples: u64) -> Result<(), CaptureError> {
+    if samples <= FREE_SAMPLES.saturating_add(SAMPLES_PER_BYTE * bytes.len() as u64) {
+        return Ok(());
+    }
+    let problem = format!(
+        "its header announces {} million numbers, more than its {} bytes can hold",
+        samples / 1_000_000,
+        bytes.len()
+    );
+    Err(broken(path, problem, COPY_AGAIN))
+}
+
+/// The numbers that an EXR file announces: those stored, and the picture of `size` that they are placed in.
+fn exr_samples(headers: &[Header], size: (usize, usize)) -> u64 {
+    let stored = headers.iter().map(|header| {
+        let pixels = header.layer_size.x() as u64 * header.layer_size.y() as u64;
+        pixels.saturating_mul(header.channels.list.len() as u64)
+    });
+    let picture = 4 * size.0 as u64 * size.1 as u64;
+    stored.fold(picture, u64::saturating_add)
+}
+
 /// Width and height of the display window of an EXR header.
 fn display_size(path: &Path, header: Option<&Header>) -> Result<(usize, usize), CaptureError> {
     let header = header.ok_or_else(|| broken(path, "it holds no image", COPY_AGAIN))?;
@@ -250,6 +278,7 @@ fn read_exr(
     }
     let header = &meta.headers[layer.part];
     let size = display_size(path, Some(header))?;
+    check_samples(path, bytes, exr_samples(&meta.headers, size))?;
     check_size((size.0 as u32, size.1 as u32))?;
     let wanted = layer.rgb.iter().chain(&layer.alpha);
     if wanted
@@ -387,6 +416,12 @@ fn read_common(
     let mut decoder = common_decoder(path, bytes)?;
     let stored = decoder.dimensions();
     check_pixels(path, u64::from(stored.0), u64::from(stored.1))?;
+    let channels = u64::from(decoder.color_type().channel_count());
+    check_samples(
+        path,
+        bytes,
+        channels * u64::from(stored.0) * u64::from(stored.1),
+    )?;
     let mut orientation = if turned {
         decoder.orientation().unwrap_or(Orientation::NoTransforms)
     } else {

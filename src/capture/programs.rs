@@ -457,6 +457,11 @@ fn bad_gltf_files_are_refused_by_place() {
             with(&|d| d["buffers"][0]["uri"] = json!("nowhere.bin")),
             "buffers[0]: nowhere.bin can't be read",
         ),
+        // What is no file may never end.
+        (
+            with(&|d| d["buffers"][0]["uri"] = json!("/dev/null")),
+            "buffers[0]: /dev/null can't be read",
+        ),
     ] {
         assert!(message.contains(part), "{message} lacks {part}");
     }

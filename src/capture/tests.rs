@@ -246,6 +246,38 @@ fn enormous_headers_are_refused_without_allocating() {
     assert!(message.contains("huge.hdr"), "{message}");
 }
 
+/// A header may announce only what the file's bytes can hold, however few pixels that are for a camera.
+#[test]
+fn small_files_cannot_announce_much() {
+    let mut exr = bytes("rgba_half_zip.exr");
+    let name = b"displayWindow\0box2i\0";
+    let at = exr.windows(name.len()).position(|w| w == name);
+    let corner = at.expect("attribute") + name.len() + 4 + 8;
+    exr[corner..corner + 8].copy_from_slice(&[0x98, 0x3a, 0, 0, 0x98, 0x3a, 0, 0]);
+    let hdr = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 15000 +X 15000\n".to_vec();
+    for (name, bytes) in [("a.exr", exr), ("a.hdr", hdr)] {
+        let message = Picture::decode(Path::new(name), &bytes, true, &|_| Ok(()))
+            .expect_err("refused")
+            .to_string();
+        assert!(message.contains(name), "{message}");
+        assert!(message.contains("bytes can hold"), "{message}");
+    }
+    // Nothing but white, a bit a pixel, is the smallest that a large picture comes to.
+    let mut white = Vec::new();
+    let mut encoder = png::Encoder::new(&mut white, 6000, 4000);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::One);
+    encoder.set_compression(png::Compression::High);
+    encoder.set_filter(png::Filter::NoFilter);
+    let mut writer = encoder.write_header().expect("header");
+    writer
+        .write_image_data(&vec![0xff; 6000 / 8 * 4000])
+        .expect("pixels");
+    writer.finish().expect("end");
+    let picture = Picture::decode(Path::new("mask.png"), &white, true, &|_| Ok(()));
+    assert_eq!(picture.expect("a mask").width, 6000);
+}
+
 #[test]
 fn a_capture_has_what_its_files_say() {
     let capture = Fixture::new().loaded();

@@ -5,6 +5,9 @@ use std::path::Path;
 
 use exr::prelude::*;
 
+/// More texels than a byte of a compressed file can hold.
+const TEXELS_PER_BYTE: u64 = 8_192;
+
 fn to_io(error: exr::error::Error) -> io::Error {
     match error {
         exr::error::Error::Io(source) => source,
@@ -79,6 +82,11 @@ fn are_halves(values: &[f32]) -> bool {
 /// Checks that a file has the stated size before memory is taken for what its header announces.
 fn check_header(path: &Path, width: u32, height: u32) -> std::result::Result<(), String> {
     let meta = MetaData::read_from_file(path, false).map_err(|e| e.to_string())?;
+    let length = std::fs::metadata(path).map_err(|e| e.to_string())?.len();
+    let texels = u64::from(width) * u64::from(height);
+    if texels > TEXELS_PER_BYTE * length {
+        return Err(format!("{length} bytes can't hold {width}×{height} texels"));
+    }
     for header in &meta.headers {
         let size = header.layer_size;
         if (size.x(), size.y()) != (width as usize, height as usize) {

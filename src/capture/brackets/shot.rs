@@ -46,6 +46,10 @@ pub struct Shot {
 impl Shot {
     /// Reads what a file says; a file without EXIF data says nothing.
     pub fn read(path: &Path) -> Self {
+        // Devices and pipes may never end.
+        if !path.is_file() {
+            return Self::default();
+        }
         File::open(path).map_or_else(
             |_| Self::default(),
             |file| Self::parse(&mut BufReader::new(file)),
@@ -100,7 +104,8 @@ fn settings(exif: &Exif) -> Option<Settings> {
         .or_else(|| number(exif, Tag::ShutterSpeedValue).map(|tv| (-tv).exp2()))
         .filter(|&time| (1e-7..1e6).contains(&time))?;
     let f_number = positive(exif, Tag::FNumber)
-        .or_else(|| number(exif, Tag::ApertureValue).map(|av| (0.5 * av).exp2()));
+        .or_else(|| number(exif, Tag::ApertureValue).map(|av| (0.5 * av).exp2()))
+        .filter(|f| (1e-3..1e6).contains(f));
     // Sensitivities that 16 bits can't hold are stated as 65535, with the number elsewhere.
     let iso = positive(exif, Tag::PhotographicSensitivity)
         .filter(|&iso| iso < 65_535.0)
