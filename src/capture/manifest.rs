@@ -629,15 +629,10 @@ fn resolve(folder: &Path, name: &str) -> PathBuf {
         with_ending.push(extension);
         PathBuf::from(with_ending)
     });
-    let known = |e: &&str| {
-        turned
-            .extension()
-            .is_some_and(|own| own.eq_ignore_ascii_case(e))
-    };
-    let replaced = EXTENSIONS
-        .iter()
-        .filter(|_| EXTENSIONS.iter().any(|e| known(&e)))
-        .map(|e| turned.with_extension(e));
+    let own = turned.extension().unwrap_or_default();
+    let known = EXTENSIONS.iter().any(|e| own.eq_ignore_ascii_case(e));
+    let replaced = EXTENSIONS.iter().filter(|_| known);
+    let replaced = replaced.map(|e| turned.with_extension(e));
     added
         .chain(replaced)
         .find(|candidate| candidate.is_file())

@@ -152,6 +152,8 @@ struct Plain<'a> {
     statements: Statements<'a>,
     /// How many vertices, texture coordinates and normals the file has.
     totals: [usize; 3],
+    /// How many of them come before the current statement's end.
+    before: [usize; 3],
     /// Whether any index was missing and the file has such entries.
     filled: bool,
     ended: bool,
@@ -172,6 +174,7 @@ impl<'a> Plain<'a> {
         Self {
             statements: Statements::new(bytes),
             totals,
+            before: [0; 3],
             filled: false,
             ended: false,
             text: Vec::new(),
@@ -185,7 +188,11 @@ impl<'a> Plain<'a> {
         self.read = 0;
         while let Some(statement) = self.statements.next() {
             let mut words = words(statement);
-            match words.next() {
+            let name = words.next();
+            if let Some(kind) = name.and_then(entry) {
+                self.before[kind] += 1;
+            }
+            match name {
                 Some(b"v") => push(&mut self.text, "v", words.take(3)),
                 Some(b"vn") => push(&mut self.text, "vn", words),
                 Some(b"vt") => {
@@ -197,7 +204,7 @@ impl<'a> Plain<'a> {
                     self.text.extend_from_slice(b"f ");
                     let mut corners = 0;
                     for word in words {
-                        self.filled |= push_corner(&mut self.text, word, self.totals)?;
+                        self.filled |= push_corner(&mut self.text, word, self.totals, self.before)?;
                         corners += 1;
                     }
                     if corners < 3 {
@@ -271,7 +278,12 @@ fn indices(word: &[u8]) -> Option<[&[u8]; 3]> {
 }
 
 /// Adds a corner with all its indices to a face; whether one was missing.
-fn push_corner(text: &mut Vec<u8>, word: &[u8], totals: [usize; 3]) -> io::Result<bool> {
+fn push_corner(
+    text: &mut Vec<u8>,
+    word: &[u8],
+    totals: [usize; 3],
+    before: [usize; 3],
+) -> io::Result<bool> {
     let refused = || io::Error::from(io::ErrorKind::InvalidData);
     let parts = indices(word).ok_or_else(refused)?;
     let zero = |part: &[u8]| part.iter().all(|b| b"+-0".contains(b));
@@ -281,8 +293,8 @@ fn push_corner(text: &mut Vec<u8>, word: &[u8], totals: [usize; 3]) -> io::Resul
             text.push(b'/');
         }
         if !part.is_empty() {
-            // tobj takes zero for an index that is left out.
-            if part.len() > MOST_DIGITS || zero(part) {
+            // tobj takes zero for an index that is left out, and counts back beyond the first entry.
+            if part.len() > MOST_DIGITS || zero(part) || reaches_back(part, before[i]) {
                 return Err(refused());
             }
             text.extend_from_slice(part);
@@ -293,6 +305,15 @@ fn push_corner(text: &mut Vec<u8>, word: &[u8], totals: [usize; 3]) -> io::Resul
     }
     text.push(b' ');
     Ok(filled)
+}
+
+/// Whether an index that counts backwards does so beyond the first of the entries `before` it.
+fn reaches_back(part: &[u8], before: usize) -> bool {
+    let back = part.strip_prefix(b"-").map(std::str::from_utf8);
+    back.is_some_and(|digits| {
+        let count = digits.ok().and_then(|digits| digits.parse::<usize>().ok());
+        count.is_none_or(|count| count > before)
+    })
 }
 
 /// The first line that is wrong, and how.

@@ -772,6 +772,10 @@ fn broken_obj_lines_are_named() {
             "line 5: normal index -2 is out of range",
         ),
         (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/-1 2/-1 3/-1\nvt 0 0\n",
+            "line 4: texture coordinate index -1 is out of range",
+        ),
+        (
             "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -9223372036854775807\n",
             "line 4: '-9223372036854775807' is not an index",
         ),
