@@ -1,0 +1,21 @@
+//! Pictures of all formats, and the exposures in their EXIF data.
+
+#![no_main]
+
+use std::sync::LazyLock;
+
+use libfuzzer_sys::fuzz_target;
+use rekindle::capture::{Photos, read_covered};
+use rekindle_fuzz::Folder;
+
+static FOLDER: LazyLock<Folder> = LazyLock::new(Folder::new);
+
+fuzz_target!(|bytes: &[u8]| {
+    let path = FOLDER.write("picture", bytes);
+    if let Ok(picture) = read_covered(&path) {
+        let pixels = picture.width as usize * picture.height as usize;
+        assert_eq!(picture.radiance.len(), pixels);
+        assert_eq!(picture.coverage.len(), pixels);
+    }
+    let _ = Photos::find(&[path], None);
+});
