@@ -157,6 +157,40 @@ fn images() {
 }
 
 #[test]
+fn points_to_align_by() {
+    let bench = Bench::new();
+    let refuses = |text: &str, parts: &[&str]| {
+        bench.write("points.json", text);
+        let arguments = ["align", "capture", "--points", "points.json"];
+        bench.refuses(&arguments, parts);
+    };
+    refuses("[{]", &["points.json: line 1, column 3: broken JSON"]);
+    refuses("{}", &["points.json: the file is not a list of points"]);
+    refuses(
+        r#"[{"mesh": [0, 1]}]"#,
+        &["points.json: [0].mesh is missing or not 3 numbers"],
+    );
+    refuses(
+        r#"[{"mesh": [0, 1, 2], "marks": [3, 4]}]"#,
+        &["[0].marks is missing or no list of marks"],
+    );
+    refuses(
+        r#"[{"mesh": [0, 1, 2], "marks": {"front.exr": [3, 4]}}]"#,
+        &[
+            "[0].marks.front.exr is no photograph",
+            "images/view_000.exr",
+        ],
+    );
+    refuses(
+        r#"[{"mesh": [0, 1, 2], "marks": {"images/view_001.exr": [3, 4000]}}]"#,
+        &["[0].marks.images/view_001.exr is outside the photograph"],
+    );
+    refuses("[]", &["points.json: no point is marked"]);
+    let arguments = ["align", "capture", "--points", "nowhere.json"];
+    bench.refuses(&arguments, &["nowhere.json: cannot be read"]);
+}
+
+#[test]
 fn meshes() {
     let bench = Bench::new();
     let path = bench.path("capture/mesh.obj");

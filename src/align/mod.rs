@@ -1,28 +1,31 @@
 //! Bringing the mesh into the cameras' frame: the similarity transform under which it fits to the photographs' silhouettes.
 //!
-//! Started from what is stated, from pairs of points, or from nothing: then many rotations are tried on points of the surface
-//! ([`start`]), and the best are settled by least squares on blurred silhouettes, from coarse to fine ([`silhouettes`]). The
-//! photographs must say what the object covers, by alpha or by masks.
+//! Started from what is stated, from points and where photographs show them ([`marks`]), or from nothing: then many rotations
+//! are tried on points of the surface ([`start`]). The best are settled by least squares on blurred silhouettes, from coarse to
+//! fine ([`silhouettes`]). The photographs must say what the object covers, by alpha or by masks; only marks do without.
 
+mod descent;
+mod marks;
+mod points_file;
+mod sights;
 mod silhouettes;
 mod similarity;
 mod start;
 #[cfg(test)]
 mod tests;
 
+pub use marks::{Mark, MarkedPoint, MarksError, Placement};
+pub use points_file::{PointsError, read_points};
 pub use similarity::Similarity;
-
-use std::ops::ControlFlow;
 
 use rayon::prelude::*;
 
 use crate::capture::{Mesh, View};
+use sights::Sights;
 use silhouettes::Silhouettes;
 
 /// Starts that are settled at the coarsest level, those of them that go on, and pixels along a silhouette's longer side at each.
 const LEVELS: [(usize, u32); 3] = [(16, 40), (4, 80), (1, 180)];
-/// Steps of least squares at each level.
-const STEPS: usize = 10;
 /// Cells along the mesh's longest side, of which each keeps one vertex at the coarse levels.
 const CELLS: f32 = 96.0;
 /// Start fits better than this are near enough to begin with.
@@ -36,15 +39,32 @@ const TURNED: f64 = 0.3;
 pub enum AlignError {
     /// Too few pictures tell what the object covers.
     #[error(
-        "only {0} of the photographs tell what the object covers; give at least two of them alpha or a mask_path"
+        "only {0} of the photographs tell what the object covers; give at least two of them alpha or a mask_path, or align by points"
     )]
     TooFewSilhouettes(usize),
     /// The pairs of points don't determine a transform.
     #[error("the pairs don't determine a transform; give three or more that are not on one line")]
     Pairs,
+    /// The marks don't determine a transform.
+    #[error(transparent)]
+    Marks(#[from] MarksError),
     /// The observer asked to stop.
     #[error("stopped")]
     Stopped,
+}
+
+/// Says whether to stop; asked often, and by several threads.
+pub type Stop<'a> = &'a (dyn Fn() -> bool + Sync);
+
+/// Where an alignment begins.
+#[derive(Clone, Copy, Debug)]
+pub enum Start<'a> {
+    /// From nothing, unless the mesh lies near enough already.
+    Anywhere,
+    /// From a transform.
+    At(Similarity),
+    /// From where marks place the mesh. They also hold what silhouettes leave open.
+    Marks(&'a [MarkedPoint]),
 }
 
 /// Where the mesh belongs.
@@ -59,9 +79,10 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// Mean overlap over the views that have one.
-    pub fn mean_overlap(&self) -> f64 {
-        mean(&self.overlap)
+    /// Mean overlap over the views that have one, if any has.
+    pub fn mean_overlap(&self) -> Option<f64> {
+        let any = self.overlap.iter().any(Option::is_some);
+        any.then(|| mean(&self.overlap))
     }
 }
 
@@ -70,32 +91,52 @@ fn mean(overlap: &[Option<f64>]) -> f64 {
     known.iter().sum::<f64>() / known.len().max(1) as f64
 }
 
-/// Finds the transform of `mesh` for `views`, from `start` or from nothing. `progress` is told the part that is done, and may
-/// break off.
+/// Finds the transform of `mesh` for `views`. `progress` is told the part that is done. Without silhouettes the mesh lies where
+/// marks place it.
 pub fn align(
     views: &[View],
     mesh: &Mesh,
-    start: Option<Similarity>,
-    progress: &mut dyn FnMut(f32) -> ControlFlow<()>,
+    start: Start<'_>,
+    progress: &mut dyn FnMut(f32),
+    stop: Stop<'_>,
 ) -> Result<Alignment, AlignError> {
+    let (placed, hold) = match start {
+        Start::Anywhere => (None, None),
+        Start::At(transform) => (Some(transform), None),
+        Start::Marks(points) => {
+            let placement = Placement::new(views, points)?;
+            (Some(placement.transform), Some(Sights::new(views, points)))
+        }
+    };
     let known = views
         .iter()
         .filter(|v| v.photograph.coverage.is_some())
         .count();
     if known < 2 {
-        return Err(AlignError::TooFewSilhouettes(known));
+        let by_marks = placed.filter(|_| hold.is_some());
+        return by_marks
+            .map(|transform| Alignment {
+                transform,
+                overlap: vec![None; views.len()],
+                ambiguous: false,
+            })
+            .ok_or(AlignError::TooFewSilhouettes(known));
     }
-    let mut go_on = |part| match progress(part) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => Err(AlignError::Stopped),
+    let mut go_on = |part| {
+        progress(part);
+        if stop() {
+            Err(AlignError::Stopped)
+        } else {
+            Ok(())
+        }
     };
     go_on(0.0)?;
     let coarse = silhouettes::thinned(mesh, CELLS);
-    let identity = start.unwrap_or(Similarity::IDENTITY);
+    let stated = placed.unwrap_or(Similarity::IDENTITY);
     let levels = LEVELS.map(|(_, side)| side);
     let first = Silhouettes::new(views, &coarse, levels[0]);
-    let mut found = vec![identity];
-    if start.is_none() && mean(&first.overlap(&identity)) < NEAR {
+    let mut found = vec![stated];
+    if placed.is_none() && mean(&first.overlap(&stated)) < NEAR {
         found = start::rotations(views, mesh);
         go_on(0.2)?;
     }
@@ -112,7 +153,7 @@ pub fn align(
             let fits: Vec<(f64, Similarity)> = some
                 .par_iter()
                 .map(|&start| {
-                    let end = silhouettes.settle(start, STEPS);
+                    let end = silhouettes.settle(start, hold.as_ref(), stop);
                     (mean(&silhouettes.overlap(&end)), end)
                 })
                 .collect();
@@ -120,6 +161,7 @@ pub fn align(
         }
         settled.sort_by(|a, b| b.0.total_cmp(&a.0));
         if last {
+            go_on(1.0)?;
             let (_, transform) = settled[0];
             return Ok(Alignment {
                 transform,

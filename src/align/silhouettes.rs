@@ -7,7 +7,9 @@ use std::collections::HashMap;
 
 use glam::{DVec2, DVec3, Vec3};
 
-use super::Similarity;
+use super::descent::Descent;
+use super::sights::Sights;
+use super::{Similarity, Stop};
 use crate::capture::{Camera, Mesh, View};
 use crate::surface::{NO_TRIANGLE, Occluder, front_most};
 
@@ -18,8 +20,11 @@ const SAMPLES: u32 = 2;
 /// Radius of the blur, as a part of the cut-out's longer side, and how often it is done.
 const BLUR: f64 = 0.03;
 const BLURS: usize = 3;
-/// Numbers of a transform.
-const UNKNOWNS: usize = 7;
+/// Steps of least squares at each level.
+const STEPS: usize = 10;
+/// Weight of a mark's error, in pixels of the cut-out, beside differences of coverage: little where silhouettes tell anything,
+/// but enough to hold what they leave open, such as the turn of a vase.
+const HOLD: f32 = 0.3;
 
 /// The silhouettes of photographs, ready to be compared with those of a mesh.
 pub(super) struct Silhouettes<'a> {
@@ -31,6 +36,8 @@ pub(super) struct Silhouettes<'a> {
     centre: DVec3,
     radius: f64,
     side: u32,
+    /// Pixels of the cut-outs per radian, the mean over the views.
+    pixels: f32,
 }
 
 /// A photograph's silhouette, cut out.
@@ -143,10 +150,14 @@ fn running_mean(values: &mut [f32], start: usize, stride: usize, count: usize, r
 impl<'a> Silhouettes<'a> {
     /// Silhouettes cut out with `side` pixels along their longer side.
     pub(super) fn new(views: &[View], mesh: &'a Mesh, side: u32) -> Self {
+        let targets: Vec<_> = views.iter().map(|view| Target::new(view, side)).collect();
+        let focal = targets.iter().flatten().map(|t| t.camera.focal.x as f32);
+        let known = focal.clone().count().max(1) as f32;
         Self {
             mesh,
             occluder: Occluder::new(mesh),
-            targets: views.iter().map(|view| Target::new(view, side)).collect(),
+            pixels: focal.sum::<f32>() / known,
+            targets,
             centre: mesh.centre().as_dvec3(),
             radius: 0.5 * f64::from(mesh.diagonal()),
             side,
@@ -197,91 +208,29 @@ impl<'a> Silhouettes<'a> {
         out
     }
 
-    /// The transform from `start` on that makes the differences least, by Levenberg and Marquardt's method with numerical
-    /// derivatives.
-    pub(super) fn settle(&self, start: Similarity, steps: usize) -> Similarity {
-        // About a pixel on the silhouette.
-        let step = 1.0 / f64::from(self.side);
-        let mut transform = start;
-        let mut residuals = self.residuals(&transform);
-        let mut damping = 1e-3;
-        for _ in 0..steps {
-            let radius = self.radius * transform.scale;
-            let nudge = |by: &[f64; UNKNOWNS]| transform.nudged(by, self.centre, radius);
-            let columns: Vec<Vec<f32>> = (0..UNKNOWNS)
-                .map(|k| {
-                    let mut by = [0.0; UNKNOWNS];
-                    by[k] = step;
-                    let moved = self.residuals(&nudge(&by));
-                    let rows = moved.iter().zip(&residuals);
-                    rows.map(|(a, b)| (a - b) / step as f32).collect()
-                })
-                .collect();
-            let before = cost(&residuals);
-            let mut best = None;
-            for _ in 0..5 {
-                let Some(by) = solve(&columns, &residuals, damping) else {
-                    break;
-                };
-                let next = nudge(&by);
-                let after = self.residuals(&next);
-                if cost(&after) < before {
-                    best = Some((next, after));
-                    damping = (damping * 0.2).max(1e-7);
-                    break;
-                }
-                damping *= 8.0;
+    /// The transform from `start` on that makes the differences least, held by marks where there are any.
+    pub(super) fn settle(
+        &self,
+        start: Similarity,
+        hold: Option<&Sights>,
+        stop: Stop<'_>,
+    ) -> Similarity {
+        let descent = Descent {
+            centre: self.centre,
+            radius: self.radius,
+            // About a pixel on the silhouette.
+            step: 1.0 / f64::from(self.side),
+            steps: STEPS,
+            stop,
+        };
+        descent.settle(start, |transform| {
+            let mut residuals = self.residuals(transform);
+            if let Some(sights) = hold {
+                residuals.extend(sights.residuals(transform).map(|r| HOLD * self.pixels * r));
             }
-            let Some((next, after)) = best else { break };
-            let gained = 1.0 - cost(&after) / before;
-            (transform, residuals) = (next, after);
-            if gained < 1e-4 {
-                break;
-            }
-        }
-        transform
+            residuals
+        })
     }
-}
-
-fn cost(residuals: &[f32]) -> f64 {
-    residuals.iter().map(|&r| f64::from(r) * f64::from(r)).sum()
-}
-
-/// The step that makes residuals with these derivatives least, held back by `damping` times the diagonal.
-fn solve(columns: &[Vec<f32>], residuals: &[f32], damping: f64) -> Option<[f64; UNKNOWNS]> {
-    let dot = |a: &[f32], b: &[f32]| -> f64 {
-        a.iter()
-            .zip(b)
-            .map(|(a, b)| f64::from(*a) * f64::from(*b))
-            .sum()
-    };
-    let mut rows = [[0.0; UNKNOWNS + 1]; UNKNOWNS];
-    for i in 0..UNKNOWNS {
-        for j in 0..UNKNOWNS {
-            rows[i][j] = dot(&columns[i], &columns[j]);
-        }
-        rows[i][i] *= 1.0 + damping;
-        rows[i][UNKNOWNS] = -dot(&columns[i], residuals);
-    }
-    let scale = (0..UNKNOWNS).map(|i| rows[i][i]).fold(0.0, f64::max);
-    // What no silhouette shows is left as it is.
-    for (i, row) in rows.iter_mut().enumerate() {
-        row[i] += 1e-9 * scale;
-    }
-    // Elimination without pivoting, which a positive definite matrix doesn't need.
-    for i in 0..UNKNOWNS {
-        let pivot = rows[i];
-        if pivot[i] <= 0.0 || !pivot[i].is_finite() {
-            return None;
-        }
-        for (_, row) in rows.iter_mut().enumerate().filter(|(k, _)| *k != i) {
-            let factor = row[i] / pivot[i];
-            for (value, other) in row.iter_mut().zip(pivot) {
-                *value -= factor * other;
-            }
-        }
-    }
-    Some(std::array::from_fn(|i| rows[i][UNKNOWNS] / rows[i][i]))
 }
 
 /// A mesh with one vertex for each of so many cells along its longest side: coarse, and as large as before.

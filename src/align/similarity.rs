@@ -41,19 +41,8 @@ impl Similarity {
         };
         let (from, to) = (size(0), size(1));
         let on_a_line = |k: usize| {
-            let mut spread = DMat3::ZERO;
-            for pair in &centred {
-                spread += DMat3::from_cols(
-                    pair[k] * pair[k].x,
-                    pair[k] * pair[k].y,
-                    pair[k] * pair[k].z,
-                );
-            }
-            // The sum of the principal minors is that of the products of two eigenvalues.
-            let trace = spread.col(0)[0] + spread.col(1)[1] + spread.col(2)[2];
-            let square = spread * spread;
-            let squares = square.col(0)[0] + square.col(1)[1] + square.col(2)[2];
-            trace * trace - squares < 1e-9 * trace * trace
+            let points: Vec<DVec3> = pairs.iter().map(|pair| pair[k]).collect();
+            breadth(&points) < 1e-9
         };
         if pairs.len() < 3 || !from.is_normal() || !to.is_normal() || on_a_line(0) || on_a_line(1) {
             return Err(AlignError::Pairs);
@@ -84,7 +73,7 @@ impl Similarity {
     }
 
     /// The camera that sees what lies where it was as `camera` sees it where it comes to lie.
-    pub(super) fn seen_from(&self, camera: &Camera) -> Camera {
+    pub fn seen_from(&self, camera: &Camera) -> Camera {
         let back = self.rotation.inverse();
         let pose = camera.world_from_camera;
         Camera {
@@ -108,6 +97,26 @@ impl Similarity {
             rotation: (turn * self.rotation).normalize(),
             translation: middle + scale * (turn * (self.translation - middle)) + shift,
         }
+    }
+}
+
+/// How far points are from being on one line: about twice the squared ratio of their second extent to the first, 0 where they
+/// are on one line or in one place.
+pub(super) fn breadth(points: &[DVec3]) -> f64 {
+    let mean = points.iter().sum::<DVec3>() / points.len().max(1) as f64;
+    let mut spread = DMat3::ZERO;
+    for point in points {
+        let p = *point - mean;
+        spread += DMat3::from_cols(p * p.x, p * p.y, p * p.z);
+    }
+    // The sum of the principal minors is that of the products of two eigenvalues.
+    let trace = spread.col(0)[0] + spread.col(1)[1] + spread.col(2)[2];
+    let square = spread * spread;
+    let squares = square.col(0)[0] + square.col(1)[1] + square.col(2)[2];
+    if trace > 0.0 {
+        (trace * trace - squares) / (trace * trace)
+    } else {
+        0.0
     }
 }
 

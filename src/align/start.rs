@@ -105,7 +105,7 @@ pub(super) fn rotations(views: &[View], mesh: &Mesh) -> Vec<Similarity> {
         .map(|i| {
             let mut transform = Similarity {
                 scale: 1.0,
-                rotation: spread(i),
+                rotation: spread(i, ROTATIONS),
                 translation: DVec3::ZERO,
             };
             transform.translation = middle - transform.apply(centre);
@@ -122,7 +122,7 @@ pub(super) fn rotations(views: &[View], mesh: &Mesh) -> Vec<Similarity> {
 }
 
 /// The point nearest to lines, each given by a point and a unit direction.
-fn nearest(lines: &[(DVec3, DVec3)]) -> DVec3 {
+pub(super) fn nearest(lines: &[(DVec3, DVec3)]) -> DVec3 {
     let (mut matrix, mut rhs) = (DMat3::ZERO, DVec3::ZERO);
     for &(origin, d) in lines {
         let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
@@ -138,11 +138,11 @@ fn nearest(lines: &[(DVec3, DVec3)]) -> DVec3 {
     matrix.inverse() * rhs
 }
 
-/// Rotations spread evenly: the super-Fibonacci spiral of Alexa (2022).
-fn spread(i: u32) -> DQuat {
+/// One of `count` rotations spread evenly: the super-Fibonacci spiral of Alexa (2022).
+pub(super) fn spread(i: u32, count: u32) -> DQuat {
     const PSI: f64 = 1.533_751_168_755_204_3;
     let s = f64::from(i) + 0.5;
-    let t = s / f64::from(ROTATIONS);
+    let t = s / f64::from(count);
     let d = TAU * s;
     let (r, big) = (t.sqrt(), (1.0 - t).sqrt());
     let (alpha, beta) = (d / std::f64::consts::SQRT_2, d / PSI);

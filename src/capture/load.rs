@@ -28,9 +28,9 @@ impl Capture {
         Self::read(path, true)
     }
 
-    /// Reads a capture whose mesh may lie where no camera sees it.
-    pub fn load_unplaced(path: &Path) -> Result<Self, CaptureError> {
-        Self::read(path, false).map(|(capture, _)| capture)
+    /// [`Capture::load_counting`] of a capture whose mesh may lie where no camera sees it.
+    pub fn load_unplaced(path: &Path) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
+        Self::read(path, false)
     }
 
     fn read(path: &Path, placed: bool) -> Result<(Self, Vec<PixelCounts>), CaptureError> {

@@ -1,7 +1,6 @@
 //! `rekindle align`: where the mesh of a capture belongs.
 
 use std::fs;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -11,9 +10,9 @@ use serde_json::{Value, json};
 use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
-use crate::align::{AlignError, Alignment, Similarity, align};
+use crate::align::{AlignError, Alignment, Similarity, Start, align, read_points};
 use crate::capture::Capture;
-use crate::solution::{Staging, write_plain_obj};
+use crate::solution::{manifest_of, write_mesh_transform, write_placed_mesh};
 
 /// Overlap below which the result is not to be trusted.
 const DOUBTFUL: f64 = 0.9;
@@ -26,8 +25,16 @@ pub(super) struct AlignArgs {
     /// Pairs of points to begin with, three lines or more of x,y,z,X,Y,Z: a point of the mesh and where it belongs
     #[arg(long, value_name = "FILE")]
     pairs: Option<PathBuf>,
+    /// Points of the mesh and where photographs show them, to begin with
+    ///
+    /// A JSON list such as [{"mesh": [0.1, 0.2, 0.3], "marks": {"images/view_000.exr": [412.5, 300]}}, …]: coordinates of the
+    /// mesh as the capture has it, names of photographs as the cameras' file has them, pixels from the upper left corner. Three
+    /// points that are not on one line and four marks in two photographs are the least; each point marked in two photographs
+    /// is better. Photographs without alpha or masks are aligned by these alone.
+    #[arg(long, value_name = "FILE", conflicts_with = "pairs")]
+    points: Option<PathBuf>,
     /// Begin with the mesh as it lies, whatever the overlap
-    #[arg(long, conflicts_with = "pairs")]
+    #[arg(long, conflicts_with_all = ["pairs", "points"])]
     from_here: bool,
     /// Write the mesh, moved, to this OBJ file in place of the transform into transforms.json
     #[arg(short, long, value_name = "FILE")]
@@ -38,7 +45,7 @@ pub(super) struct AlignArgs {
 }
 
 pub(super) fn run(args: &AlignArgs, output: OutputArgs) -> anyhow::Result<()> {
-    let manifest = manifest(&args.capture);
+    let manifest = manifest_of(&args.capture);
     if manifest.is_none() && args.output.is_none() && !args.dry_run {
         bail!(
             "{}: there is no transforms.json to write the transform into; name a file for the moved mesh by -o",
@@ -47,57 +54,63 @@ pub(super) fn run(args: &AlignArgs, output: OutputArgs) -> anyhow::Result<()> {
     }
     let mut progress = Progress::new(output);
     progress.stage("reading the capture", 0.0);
-    let capture = Capture::load_unplaced(&args.capture)?;
+    let (capture, _) = Capture::load_unplaced(&args.capture)?;
+    let points = match &args.points {
+        Some(path) => read_points(path, &capture.views)?,
+        None => Vec::new(),
+    };
     let start = match &args.pairs {
-        Some(path) => Some(
+        Some(path) => Start::At(
             Similarity::from_pairs(&read_pairs(path)?)
                 .with_context(|| path.display().to_string())?,
         ),
-        None => args.from_here.then_some(Similarity::IDENTITY),
+        None if args.points.is_some() => Start::Marks(&points),
+        None if args.from_here => Start::At(Similarity::IDENTITY),
+        None => Start::Anywhere,
     };
-    let found = align(&capture.views, &capture.mesh, start, &mut |part| {
-        progress.stage("aligning silhouettes", part);
-        if interrupt::asked() {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
-    });
+    let found = align(
+        &capture.views,
+        &capture.mesh,
+        start,
+        &mut |part| progress.stage("aligning silhouettes", part),
+        &interrupt::asked,
+    );
     let alignment = match found {
         Err(AlignError::Stopped) => return Err(Interrupted.into()),
+        Err(error @ AlignError::Marks(_)) => {
+            let file = args.points.as_ref().unwrap_or(&args.capture);
+            return Err(error).with_context(|| file.display().to_string());
+        }
         other => other.with_context(|| args.capture.display().to_string())?,
     };
     interrupt::check()?;
-    if alignment.mean_overlap() < DOUBTFUL {
+    if let Some(overlap) = alignment.mean_overlap().filter(|o| *o < DOUBTFUL) {
         progress.warn(&format!(
-            "silhouettes overlap by only {:.1} %: start it from three pairs of points (--pairs), and check masks and lenses",
-            100.0 * alignment.mean_overlap()
+            "silhouettes overlap by only {:.1} %: start it from points (--points or --pairs), and check masks and lenses",
+            100.0 * overlap
         ));
     }
     if alignment.ambiguous {
         progress.warn(
-            "another rotation fits as well: the object is symmetric in silhouette; check it against the photographs, or give pairs of points (--pairs)",
+            "another rotation fits as well: the object is symmetric in silhouette; check it against the photographs, or give points (--points or --pairs)",
         );
     }
     match (&args.output, manifest) {
         _ if args.dry_run => {}
-        (Some(path), _) => write_mesh(path, &capture, &alignment)?,
-        (None, Some(path)) => write_transform(&path, &alignment)?,
+        (Some(path), _) => {
+            write_placed_mesh(path, &alignment.transform.moved(&capture.mesh)).with_context(
+                || format!("{}: can't be written; choose another file", path.display()),
+            )?;
+        }
+        (None, Some(path)) => {
+            write_mesh_transform(&path, &alignment.transform.matrix())
+                .with_context(|| format!("{}: can't be written; choose -o FILE", path.display()))?;
+        }
         (None, None) => {}
     }
     progress.finish();
     report(&capture, &alignment, output);
     Ok(())
-}
-
-/// The capture's own manifest, into which the transform can be written.
-fn manifest(capture: &Path) -> Option<PathBuf> {
-    let named = ["transforms.json", "transforms_train.json"].map(|name| capture.join(name));
-    let own = capture
-        .extension()
-        .is_some_and(|e| e == "json")
-        .then(|| capture.to_owned());
-    own.into_iter().chain(named).find(|path| path.is_file())
 }
 
 /// Lines of six numbers.
@@ -125,55 +138,6 @@ fn read_pairs(path: &Path) -> anyhow::Result<Vec<[DVec3; 2]>> {
         }
     }
     Ok(pairs)
-}
-
-/// Writes the transform, after the one that is stated already, into a manifest; the file appears whole or not at all.
-fn write_transform(path: &Path, alignment: &Alignment) -> anyhow::Result<()> {
-    let problem = || format!("{}: can't be written; choose -o FILE", path.display());
-    let bytes = fs::read(path).with_context(problem)?;
-    let mut manifest: Value = serde_json::from_slice(&bytes).with_context(problem)?;
-    let before = manifest.get("mesh_transform").and_then(matrix);
-    let matrix = alignment.transform.matrix() * before.unwrap_or(glam::DMat4::IDENTITY);
-    manifest["mesh_transform"] = json!(matrix.transpose().to_cols_array_2d());
-    let text = serde_json::to_vec_pretty(&manifest).with_context(problem)?;
-    let folder = path
-        .parent()
-        .filter(|p| !p.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
-    let staging = Staging::within(folder).with_context(problem)?;
-    let name = path.file_name().unwrap_or_default();
-    fs::write(staging.path().join(name), text).with_context(problem)?;
-    staging.add().with_context(problem)
-}
-
-/// A matrix as rows.
-fn matrix(value: &Value) -> Option<glam::DMat4> {
-    let rows: Vec<Vec<f64>> = serde_json::from_value(value.clone()).ok()?;
-    let mut matrix = glam::DMat4::IDENTITY;
-    for (i, row) in rows.iter().enumerate().take(4) {
-        for (j, &v) in row.iter().enumerate().take(4) {
-            matrix.col_mut(j)[i] = v;
-        }
-    }
-    Some(matrix)
-}
-
-fn write_mesh(path: &Path, capture: &Capture, alignment: &Alignment) -> anyhow::Result<()> {
-    let problem = || format!("{}: can't be written; choose another file", path.display());
-    let folder = path
-        .parent()
-        .filter(|p| !p.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
-    let Some(name) = path.file_name() else {
-        bail!(
-            "{}: is not a file's name; choose one that ends in .obj",
-            path.display()
-        );
-    };
-    let staging = Staging::within(folder).with_context(problem)?;
-    let moved = alignment.transform.moved(&capture.mesh);
-    write_plain_obj(&staging.path().join(name), &moved).with_context(problem)?;
-    staging.add().with_context(problem)
 }
 
 fn report(capture: &Capture, alignment: &Alignment, output: OutputArgs) {

@@ -77,7 +77,8 @@ enum Command {
     Export(export::ExportArgs),
     /// Bring the mesh of a capture into the cameras' frame, by the silhouettes of its photographs
     ///
-    /// The images must have alpha or masks. The transform is written into transforms.json as mesh_transform.
+    /// The images must have alpha or masks, or points be marked in them (--points). The transform is written into
+    /// transforms.json as mesh_transform.
     Align(align::AlignArgs),
     /// Merge brackets of exposures to linear EXR files, all on one scale
     ///

@@ -15,6 +15,7 @@ mod exr_file;
 mod format;
 mod mesh_file;
 mod origin;
+mod placed;
 mod solve;
 mod staging;
 
@@ -23,6 +24,7 @@ pub use exr_file::{write_rgb, write_rgba};
 pub use format::{Fit, Skipped};
 pub use mesh_file::{write_obj, write_plain_obj};
 pub use origin::origin;
+pub use placed::{manifest_of, write_mesh_transform, write_placed_mesh};
 pub use solve::{SolveOptions, solve};
 pub use staging::{Staging, abandon_unfinished};
 
