@@ -3,8 +3,11 @@
 use super::{Finding, Report, Severity, ViewReport};
 
 /// Intersection over union below which silhouettes are worth a warning, and below which nothing fits.
-const IOU_FAIR: f64 = 0.95;
+pub(super) const IOU_FAIR: f64 = 0.95;
 const IOU_HOPELESS: f64 = 0.5;
+
+const ALIGN: &str =
+    "The mesh may be in another frame than the cameras: rekindle align CAPTURE finds its place.";
 
 /// Relative difference of exposure that is worth a warning.
 const EXPOSURE: f64 = 0.1;
@@ -31,8 +34,12 @@ pub(super) fn judge(report: &Report, warnings: &[String]) -> Vec<Finding> {
         findings.add(Severity::Note, "input", warning.as_str(), "");
     }
     sizes(report, &mut findings);
+    if !report.is_seen() {
+        let message = "No camera sees the mesh.";
+        findings.add(Severity::Error, "mesh", message, ALIGN);
+    }
     for view in &report.views {
-        place(view, &mut findings);
+        place(view, report.is_seen(), &mut findings);
         pixels(view, &mut findings);
     }
     silhouettes(report, &mut findings);
@@ -73,8 +80,8 @@ fn sizes(report: &Report, findings: &mut Findings) {
     }
 }
 
-/// Where the camera is and what it sees of the mesh.
-fn place(view: &ViewReport, findings: &mut Findings) {
+/// Where the camera is and what it sees of the mesh; `seen` by any other camera.
+fn place(view: &ViewReport, seen: bool, findings: &mut Findings) {
     const MATRIX: &str =
         "Check transform_matrix: camera to world, OpenGL axes, in the mesh's frame and units.";
     if view.inside {
@@ -87,8 +94,10 @@ fn place(view: &ViewReport, findings: &mut Findings) {
         return;
     }
     if view.object_pixels == 0 {
-        let message = "The camera looks away: it sees nothing of the mesh.";
-        findings.add(Severity::Error, &view.name, message, MATRIX);
+        if seen {
+            let message = "The camera looks away: it sees nothing of the mesh.";
+            findings.add(Severity::Error, &view.name, message, MATRIX);
+        }
         return;
     }
     let share = view.object_pixels as f64 / (f64::from(view.width) * f64::from(view.height));
@@ -157,16 +166,13 @@ fn pixels(view: &ViewReport, findings: &mut Findings) {
 fn silhouettes(report: &Report, findings: &mut Findings) {
     const ADVICE: &str =
         "Check this view's matrix and intrinsics, the mesh's frame, and the mask or alpha.";
-    const ALIGN: &str = "The mesh may be in another frame than the cameras: rekindle align CAPTURE finds its place.";
     let known: Vec<(&ViewReport, f64)> = report
         .views
         .iter()
         .filter(|view| view.object_pixels > 0 && !view.inside)
         .filter_map(|view| Some((view, view.silhouette_iou?)))
         .collect();
-    // One view that is off is that view's; all are the mesh's.
-    let all_off = known.len() > 1 && known.iter().all(|(_, iou)| *iou < IOU_FAIR);
-    let advice = if all_off { ALIGN } else { ADVICE };
+    let advice = if report.is_misplaced() { ALIGN } else { ADVICE };
     for &(view, iou) in known.iter().filter(|(_, iou)| *iou < IOU_FAIR) {
         let severity = if iou < IOU_HOPELESS {
             Severity::Error
@@ -185,7 +191,7 @@ fn silhouettes(report: &Report, findings: &mut Findings) {
         .iter()
         .map(|(_, iou)| *iou)
         .fold(f64::INFINITY, f64::min);
-    if known.is_empty() {
+    if report.mean_overlap().is_none() {
         let message = "No image has alpha or a mask: what the object covers is taken from the mesh, and the two cannot be compared.";
         findings.add(
             Severity::Note,
@@ -193,7 +199,7 @@ fn silhouettes(report: &Report, findings: &mut Findings) {
             message,
             "Add mask_path if the result looks misplaced.",
         );
-    } else if least >= IOU_FAIR {
+    } else if !known.is_empty() && least >= IOU_FAIR {
         let message = format!(
             "Mesh and alpha agree: the least overlap in a view is {}.",
             percent(least)

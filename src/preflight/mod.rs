@@ -10,7 +10,7 @@ mod thumbnail;
 mod view;
 
 pub use mesh::MeshReport;
-pub use thumbnail::Thumbnail;
+pub use thumbnail::{Thumbnail, outline};
 pub use view::ViewReport;
 
 use crate::capture::{Capture, PixelCounts};
@@ -106,6 +106,26 @@ impl Report {
         report.findings = findings::judge(&report, &capture.warnings);
         report
     }
+
+    /// Whether any camera sees the mesh.
+    pub fn is_seen(&self) -> bool {
+        self.views.iter().any(|view| view.object_pixels > 0)
+    }
+
+    /// Whether the mesh seems to be in another frame than the cameras: one view that is off is that view's fault, all are the
+    /// mesh's.
+    pub fn is_misplaced(&self) -> bool {
+        let mut known = self.views.iter().filter_map(|view| view.silhouette_iou);
+        let off = known.clone().count() > 1 && known.all(|iou| iou < findings::IOU_FAIR);
+        off || !self.is_seen()
+    }
+
+    /// Mean overlap of the silhouettes over the views that tell it, if any does.
+    pub fn mean_overlap(&self) -> Option<f64> {
+        let known: Vec<f64> = self.views.iter().filter_map(|v| v.silhouette_iou).collect();
+        let sum: f64 = known.iter().sum();
+        (!known.is_empty()).then(|| sum / known.len() as f64)
+    }
 }
 
 #[cfg(test)]
@@ -187,6 +207,30 @@ mod tests {
             "{:#?}",
             report.findings
         );
+    }
+
+    #[test]
+    fn a_mesh_in_another_frame_is_one_finding() {
+        let (mut capture, pixels) = capture();
+        assert!(!Report::new(&capture, &pixels).is_misplaced());
+        for p in &mut capture.mesh.positions {
+            *p += glam::Vec3::new(0.4, 0.0, 0.0);
+        }
+        let shifted = Report::new(&capture, &pixels);
+        assert!(shifted.is_misplaced() && shifted.is_seen());
+        assert!(shifted.mean_overlap() < Some(0.9));
+        for p in &mut capture.mesh.positions {
+            *p += glam::Vec3::new(0.0, 1e4, 0.0);
+        }
+        let far = Report::new(&capture, &pixels);
+        assert!(far.is_misplaced() && !far.is_seen());
+        let errors = far
+            .findings
+            .iter()
+            .filter(|f| f.severity == Severity::Error);
+        assert_eq!(errors.count(), 1, "{:#?}", far.findings);
+        assert!(finding(&far, "No camera sees the mesh").is_some());
+        assert!(finding(&far, "alpha or a mask").is_none());
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::capture::{Mesh, View};
+use crate::capture::{Camera, Mesh, View};
 use crate::hemisphere::srgb;
 use crate::surface::{NO_TRIANGLE, Occluder, front_most};
 
@@ -53,28 +53,33 @@ impl Thumbnail {
         };
         let pixels = (width * height) as usize;
         let camera = view.camera.resized(width, height);
-        let (triangles, depth) = front_most(mesh, occluder, &camera);
-        let jump = JUMP * mesh.diagonal();
-        let edge = |i: usize| {
-            let (x, y) = (i as u32 % width, i as u32 / width);
-            let here = triangles[i] != NO_TRIANGLE;
-            let differs = |j: usize| {
-                let there = triangles[j] != NO_TRIANGLE;
-                here != there || here && (depth[i] - depth[j]).abs() > jump
-            };
-            // Two pixels wide, to be seen on a small picture.
-            x > 0 && differs(i - 1)
-                || y > 0 && differs(i - width as usize)
-                || x + 1 < width && differs(i + 1)
-                || y + 1 < height && differs(i + width as usize)
-        };
         Self {
             width,
             height,
             photograph: (0..pixels).into_par_iter().map(pixel).collect(),
-            outline: (0..pixels).into_par_iter().map(edge).collect(),
+            outline: outline(mesh, occluder, &camera),
         }
     }
+}
+
+/// Where a mesh has an outline, as a camera sees it, by its pixels: two of them wide, to be seen on a small picture.
+pub fn outline(mesh: &Mesh, occluder: &Occluder, camera: &Camera) -> Vec<bool> {
+    let (triangles, depth) = front_most(mesh, occluder, camera);
+    let (width, height) = (camera.width, camera.height);
+    let jump = JUMP * mesh.diagonal();
+    let edge = |i: usize| {
+        let (x, y) = (i as u32 % width, i as u32 / width);
+        let here = triangles[i] != NO_TRIANGLE;
+        let differs = |j: usize| {
+            let there = triangles[j] != NO_TRIANGLE;
+            here != there || here && (depth[i] - depth[j]).abs() > jump
+        };
+        x > 0 && differs(i - 1)
+            || y > 0 && differs(i - width as usize)
+            || x + 1 < width && differs(i + 1)
+            || y + 1 < height && differs(i + width as usize)
+    };
+    (0..triangles.len()).into_par_iter().map(edge).collect()
 }
 
 /// The large picture's columns, or rows, that a small one's shows.
