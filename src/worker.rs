@@ -13,7 +13,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
-use crate::capture::{Camera, Capture, DEMO, unpack_demo};
+use crate::align::{Alignment, MarkedPoint, Start, Stop, align};
+use crate::capture::{Camera, Capture, DEMO, PixelCounts, unpack_demo};
 use crate::estimate::{Brdf, Interim, Iteration, Observer, SpecularModel, Stopped};
 use crate::hemisphere::{FromAbove, HemisphereGrid, Picture};
 use crate::preflight::{Report, Thumbnail};
@@ -57,6 +58,13 @@ pub enum Command {
     Open(Source),
     /// Open what a crash left behind.
     Recover(Arc<Recoverable>),
+    /// Bring the mesh of a capture to where its photographs show it.
+    Align {
+        /// The capture.
+        opened: Arc<OpenedCapture>,
+        /// Points of the mesh and where photographs show them, to begin with; none to begin from nothing.
+        points: Vec<MarkedPoint>,
+    },
     /// Solve a capture.
     Solve {
         /// What to solve.
@@ -93,6 +101,13 @@ pub struct OpenedCapture {
 pub enum Event {
     /// A capture was opened.
     Capture(Box<OpenedCapture>),
+    /// The mesh of a capture was aligned.
+    Aligned {
+        /// The capture with the mesh in its new place.
+        opened: Box<OpenedCapture>,
+        /// How it came there.
+        alignment: Alignment,
+    },
     /// A solution was opened.
     Solution {
         /// Its folder.
@@ -149,6 +164,8 @@ pub enum Purpose {
     ExportFolder,
     /// Choose a light probe.
     LightProbe,
+    /// Save a mesh that was aligned as.
+    SaveMesh,
 }
 
 /// A try of a roughness on the coarsest cells.
@@ -540,6 +557,10 @@ fn ask(purpose: Purpose, start: Option<&Path>) -> Option<PathBuf> {
             .set_file_name(format!("project.{EXTENSION}"))
             .save_file(),
         Purpose::ExportFolder => dialog.set_title("Export to").pick_folder(),
+        Purpose::SaveMesh => dialog
+            .set_title("Save the mesh")
+            .set_file_name("mesh.obj")
+            .save_file(),
         Purpose::LightProbe => dialog
             .set_title("Open a light probe")
             .add_filter("Light probes", &["hdr", "exr"])
@@ -563,6 +584,7 @@ impl Bench {
             let what = match &job.command {
                 Command::Open(_) => "Opening".to_owned(),
                 Command::Recover(_) => "Recovering".to_owned(),
+                Command::Align { .. } => "Aligning".to_owned(),
                 Command::Solve { .. } => "Solving".to_owned(),
                 Command::Task { what, .. } => what.clone(),
             };
@@ -601,6 +623,13 @@ impl Bench {
                     document: Box::new(document),
                     warnings,
                 })
+            }
+            Command::Align { opened, points } => {
+                let tell = &mut |part| {
+                    // Whoever stops it is asked besides.
+                    let _ = shown.progress("aligning silhouettes", part);
+                };
+                realign(&opened, &points, tell, &|| job.control.stopped())
             }
             Command::Solve {
                 capture,
@@ -647,21 +676,52 @@ fn open(source: Source) -> anyhow::Result<Event> {
                     solution: Arc::new(Solution::load(folder)?),
                 });
             }
-            Capture::load_counting(path)?
+            // A mesh in another frame than the cameras can be aligned in the window.
+            Capture::load_unplaced(path)?
         }
     };
     let load_s = started.elapsed().as_secs_f64();
-    let report = Report::new(&capture, &pixels);
+    let opened = checked(source, capture, &pixels, load_s);
+    Ok(Event::Capture(Box::new(opened)))
+}
+
+fn checked(source: Source, capture: Capture, pixels: &[PixelCounts], load_s: f64) -> OpenedCapture {
+    let report = Report::new(&capture, pixels);
     let occluder = Occluder::new(&capture.mesh);
     let small = |view| Thumbnail::new(view, &capture.mesh, &occluder);
     let thumbnails = capture.views.iter().map(small).collect();
-    Ok(Event::Capture(Box::new(OpenedCapture {
+    OpenedCapture {
         source,
         capture: Arc::new(capture),
         report,
         thumbnails,
         load_s,
-    })))
+    }
+}
+
+fn realign(
+    opened: &OpenedCapture,
+    points: &[MarkedPoint],
+    progress: &mut dyn FnMut(f32),
+    stop: Stop<'_>,
+) -> anyhow::Result<Event> {
+    let capture = &opened.capture;
+    let start = if points.is_empty() {
+        Start::Anywhere
+    } else {
+        Start::Marks(points)
+    };
+    let alignment = align(&capture.views, &capture.mesh, start, progress, stop)?;
+    let moved = Capture {
+        mesh: alignment.transform.moved(&capture.mesh),
+        ..Capture::clone(capture)
+    };
+    let pixels: Vec<PixelCounts> = opened.report.views.iter().map(|v| v.pixels).collect();
+    let opened = checked(opened.source.clone(), moved, &pixels, opened.load_s);
+    Ok(Event::Aligned {
+        opened: Box::new(opened),
+        alignment,
+    })
 }
 
 /// What went wrong and why. Causes that a message has taken up are not repeated.

@@ -9,6 +9,7 @@ use std::path::Path;
 use driver::{Window, click, drawn, finished, has, still, wait_for, wait_for_iteration};
 use eframe::egui;
 use egui_kittest::kittest::Queryable as _;
+use rekindle::capture::Capture;
 use rekindle::synth::{Encode, Files, Recipe, make};
 use rekindle::worker::Source;
 
@@ -116,6 +117,29 @@ fn small_and_light() {
     snap(&mut window, "light_estimating");
     wait_for(&mut window, "Light 1");
     shoot(&mut window, "light_relit");
+}
+
+#[test]
+#[ignore = "writes pictures"]
+fn a_mesh_that_lies_elsewhere() {
+    let folder = tempfile::tempdir().expect("folder");
+    driver::misplace(folder.path());
+    let (capture, _) = Capture::load_unplaced(folder.path()).expect("a capture");
+    let mut window = drawn(
+        [1280.0, 800.0],
+        Some(Source::Path(folder.path().to_owned())),
+    );
+    wait_for(&mut window, "Align by points…");
+    click(&mut window, "Align by points…");
+    wait_for(&mut window, "Picture of the mesh");
+    for (point, [x, y]) in driver::ON_MESH.into_iter().enumerate() {
+        driver::click_at(&mut window, "Picture of the mesh", egui::vec2(x, y));
+        let place = driver::point_on_mesh(&window, point + 1);
+        for view in [0, 1 + point].into_iter().rev().take(1 + point) {
+            driver::mark(&mut window, &capture, view, place);
+        }
+    }
+    shoot(&mut window, "align_points");
 }
 
 #[test]

@@ -3,11 +3,12 @@
 mod driver;
 
 use driver::{
-    capture, click, coarse, drop_on, has, has_part, wait_for, wait_for_iteration, wait_for_part,
-    window,
+    ON_MESH, capture, click, click_at, coarse, drop_on, has, has_part, mark, misplace, placed,
+    point_on_mesh, wait, wait_for, wait_for_iteration, wait_for_part, window,
 };
 use eframe::egui;
 use egui_kittest::kittest::Queryable as _;
+use rekindle::capture::Capture;
 use rekindle::worker::Source;
 
 #[test]
@@ -97,4 +98,60 @@ fn a_solve_is_stopped_in_every_stage_and_the_window_closed_in_one() {
     wait_for_iteration(&mut window, 1);
     // Closing stops the threads and waits for them.
     drop(window);
+}
+
+#[test]
+fn a_mesh_that_lies_elsewhere_is_aligned_by_points_undone_and_saved() {
+    let folder = tempfile::tempdir().expect("a folder");
+    misplace(folder.path());
+    let (capture, _) = Capture::load_unplaced(folder.path()).expect("a capture");
+    let mut window = window(Some(Source::Path(folder.path().to_owned())));
+    wait_for(&mut window, "The mesh is not where the photographs show it");
+    assert!(has(&window, "No camera sees the mesh."));
+    // From nothing, stopped before its end.
+    click(&mut window, "Align");
+    wait_for_part(&mut window, "Aligning, ");
+    window.key_press(egui::Key::Escape);
+    window.step();
+    wait_for(&mut window, "Alignment stopped");
+    click(&mut window, "Align by points…");
+    wait_for_part(&mut window, "No point is marked");
+    wait_for(&mut window, "Picture of the mesh");
+    for (point, [x, y]) in ON_MESH.into_iter().enumerate() {
+        click_at(&mut window, "Picture of the mesh", egui::vec2(x, y));
+        let place = point_on_mesh(&window, point + 1);
+        for view in [0, 1 + point] {
+            mark(&mut window, &capture, view, place);
+        }
+    }
+    wait_for_part(&mut window, "The marks fit within 0.");
+    window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Z);
+    wait(&mut window, "undone mark", |w| {
+        !has(w, "Mark of point 3 in photograph 4")
+    });
+    window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Y);
+    wait_for(&mut window, "Mark of point 3 in photograph 4");
+    wait_for_part(&mut window, "The marks fit within 0.");
+    window.run_ok();
+    window.check_accessibility();
+    click(&mut window, "Align the mesh");
+    wait_for(&mut window, "Aligned");
+    assert!(has_part(&window, "Silhouettes overlap by 9"));
+    assert!(has(&window, "Findings"), "back on the capture's page");
+    // Undone, done again, saved where it was done.
+    window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Z);
+    wait_for(&mut window, "No camera sees the mesh.");
+    window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Y);
+    wait_for(&mut window, "Aligned");
+    click(&mut window, "Save in the capture");
+    wait_for(&mut window, "Saved in the capture");
+    drop(window);
+    let aligned = Capture::load(folder.path()).expect("seen now");
+    let moved = aligned.mesh.positions.iter().zip(&capture.mesh.positions);
+    let off = moved.map(|(now, before)| {
+        let right = placed(before.to_array().map(f64::from));
+        now.as_dvec3().distance(right)
+    });
+    let off = off.fold(0.0, f64::max);
+    assert!(off < 0.004 * f64::from(aligned.mesh.diagonal()), "{off}");
 }

@@ -1,5 +1,6 @@
 //! The page of a capture before it is solved: what is in it, what is wrong with it, and how to estimate.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use eframe::egui::{
@@ -8,59 +9,174 @@ use eframe::egui::{
 };
 
 use super::commands::Action;
+use super::placing::{Outcome, Placing, State};
+use super::points::ByPoints;
 use super::settings::Estimation;
 use super::theme::Mark;
 use super::{Request, Shared, exposures, theme};
+use crate::align::{Alignment, MarkedPoint};
 use crate::capture::Capture;
 use crate::estimate::{Method, SpecularModel};
 use crate::preflight::{Finding, Severity, Thumbnail};
-use crate::worker::{OpenedCapture, Source};
+use crate::worker::{OpenedCapture, Source, Worker};
 
 /// Narrowest thumbnail, points.
 const THUMBNAIL: f32 = 210.0;
 
 /// A capture as the page shows it.
 pub struct CapturePage {
-    opened: OpenedCapture,
+    placing: Placing,
     /// Photograph and outline of each view.
     textures: Vec<[TextureHandle; 2]>,
     /// A view shown large.
     large: Option<usize>,
+    /// Points are being set.
+    by_points: Option<ByPoints>,
 }
 
 impl CapturePage {
     /// Shows a capture that was opened.
     pub fn new(ctx: &egui::Context, opened: OpenedCapture) -> Self {
-        let textures = opened
-            .thumbnails
-            .iter()
-            .enumerate()
-            .map(|(i, thumbnail)| upload(ctx, i, thumbnail))
-            .collect();
         Self {
-            opened,
-            textures,
+            textures: upload_all(ctx, &opened),
+            placing: Placing::new(opened),
             large: None,
+            by_points: None,
         }
+    }
+
+    /// What was opened, with the mesh where it lies now.
+    pub fn opened(&self) -> &Arc<OpenedCapture> {
+        &self.placing.now.opened
     }
 
     /// The capture.
     pub fn capture(&self) -> &Arc<Capture> {
-        &self.opened.capture
+        &self.opened().capture
     }
 
     /// Whether it is the built-in one.
     pub fn is_demo(&self) -> bool {
-        self.opened.source == Source::Demo
+        self.opened().source == Source::Demo
     }
 
     /// Seconds that loading it took.
     pub fn load_s(&self) -> f64 {
-        self.opened.load_s
+        self.opened().load_s
+    }
+
+    /// Whether any camera sees the mesh, so that there is something to estimate.
+    pub fn is_seen(&self) -> bool {
+        self.opened().report.is_seen()
+    }
+
+    /// Takes the capture with its mesh in another place. Whether it was taken: silhouettes without points may find none better.
+    pub fn aligned(
+        &mut self,
+        ctx: &egui::Context,
+        opened: OpenedCapture,
+        alignment: &Alignment,
+    ) -> bool {
+        let now = &self.placing.now;
+        let overlap = [
+            now.opened.report.mean_overlap(),
+            opened.report.mean_overlap(),
+        ];
+        if self.by_points.is_none() && overlap[1] <= overlap[0] {
+            return false;
+        }
+        let move_point = |point: &MarkedPoint| MarkedPoint {
+            place: alignment.transform.apply(point.place),
+            marks: point.marks.clone(),
+        };
+        let points = match &self.by_points {
+            Some(by_points) => by_points.points(),
+            None => &now.points,
+        };
+        let next = State {
+            points: points.iter().map(move_point).collect(),
+            moved: alignment.transform.matrix() * now.moved,
+            opened: Arc::new(opened),
+            outcome: Some(Outcome {
+                overlap,
+                ambiguous: alignment.ambiguous,
+            }),
+        };
+        self.leave_points();
+        self.placing.change(next);
+        self.textures = upload_all(ctx, self.opened());
+        true
+    }
+
+    /// Whether points are being set.
+    pub fn by_points(&self) -> bool {
+        self.by_points.is_some()
+    }
+
+    /// Lets points be set.
+    pub fn set_points(&mut self) {
+        if self.by_points.is_none() {
+            let points = self.placing.now.points.clone();
+            self.by_points = Some(ByPoints::new(self.capture(), points));
+        }
+    }
+
+    /// Back to the capture; the points are kept.
+    fn leave_points(&mut self) {
+        if let Some(by_points) = self.by_points.take() {
+            self.placing.now.points = by_points.points().to_vec();
+        }
+    }
+
+    /// Carries out a command about the pictures on which points are set.
+    pub fn act(&mut self, action: Action) {
+        if let Some(by_points) = &mut self.by_points {
+            by_points.act(action);
+        }
+    }
+
+    /// Whether there is something to undo, or to do again.
+    pub fn can(&self, action: Action) -> bool {
+        match (action, &self.by_points) {
+            (Action::Undo, Some(points)) => points.can_undo(),
+            (Action::Undo, None) => self.placing.can_undo(),
+            (Action::Redo, Some(points)) => points.can_redo(),
+            (Action::Redo, None) => self.placing.can_redo(),
+            _ => false,
+        }
+    }
+
+    /// Undoes the last change of the points, or of the mesh's place; or does it again.
+    pub fn undo(&mut self, ctx: &egui::Context, action: Action) {
+        match (action, &mut self.by_points) {
+            (Action::Undo, Some(points)) => points.undo(),
+            (_, Some(points)) => points.redo(),
+            (Action::Undo, None) => self.placing.undo(),
+            (_, None) => self.placing.redo(),
+        }
+        if self.by_points.is_none() {
+            self.textures = upload_all(ctx, self.opened());
+        }
+    }
+
+    /// Writes the mesh where it lies now.
+    pub fn save_mesh(&mut self, worker: &mut Worker, path: PathBuf) {
+        self.placing.save_mesh(worker, path);
+    }
+
+    /// What came of saving the mesh's place, once: the file, or what went wrong.
+    pub fn take_saved(&mut self) -> Option<Result<PathBuf, String>> {
+        self.placing.take_saved()
     }
 
     /// Shows the page.
     pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        if let Some(by_points) = &mut self.by_points {
+            if by_points.show(ui, shared, &self.textures) {
+                self.leave_points();
+            }
+            return;
+        }
         egui::Panel::left("capture facts")
             .frame(theme::side(ui))
             .resizable(true)
@@ -77,7 +193,7 @@ impl CapturePage {
                 ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
                     self.facts_ui(ui);
                     ui.add_space(theme::GAP);
-                    if let Some(brackets) = &self.opened.capture.brackets {
+                    if let Some(brackets) = &self.opened().capture.brackets {
                         exposures::show(ui, brackets);
                         ui.add_space(theme::GAP);
                     }
@@ -88,6 +204,9 @@ impl CapturePage {
         let frame = theme::side(ui);
         egui::CentralPanel::default().frame(frame).show(ui, |ui| {
             ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                if self.placing.show(ui, shared) {
+                    self.set_points();
+                }
                 self.views_ui(ui, shared);
                 ui.add_space(theme::GAP);
                 self.findings_ui(ui);
@@ -97,7 +216,7 @@ impl CapturePage {
 
     fn start_ui(&self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
         let hopeless = self
-            .opened
+            .opened()
             .report
             .findings
             .iter()
@@ -109,7 +228,9 @@ impl CapturePage {
             "Estimate roughness and lights (Ctrl+Enter)"
         };
         let start = ui.vertical_centered_justified(|ui| {
-            ui.add_enabled(!shared.busy, button).on_hover_text(tip)
+            ui.add_enabled(!shared.busy && self.is_seen(), button)
+                .on_hover_text(tip)
+                .on_disabled_hover_text("Something is running, or no camera sees the mesh yet")
         });
         if start.inner.clicked() {
             shared.actions.push(Request::Action(Action::Solve));
@@ -117,7 +238,7 @@ impl CapturePage {
     }
 
     fn facts_ui(&self, ui: &mut egui::Ui) {
-        let report = &self.opened.report;
+        let report = &self.opened().report;
         ui.heading(&report.capture);
         ui.add_space(4.0);
         let [none, one, two, more] = report.seen_by.map(|share| 100.0 * share);
@@ -137,7 +258,7 @@ impl CapturePage {
             ("Seen by 2", format!("{two:.1} %")),
             ("Seen by 1", format!("{one:.1} %")),
             ("Not seen", format!("{none:.1} %")),
-            ("Read in", format!("{:.1} s", self.opened.load_s)),
+            ("Read in", format!("{:.1} s", self.opened().load_s)),
         ];
         Grid::new("facts").num_columns(2).show(ui, |ui| {
             for (name, value) in facts {
@@ -197,7 +318,7 @@ impl CapturePage {
         let size = photograph.size_vec2();
         let (rect, response) =
             ui.allocate_exact_size(vec2(width, width * size.y / size.x), Sense::click());
-        let name = self.opened.report.views[i].name.clone();
+        let name = self.opened().report.views[i].name.clone();
         let painter = ui.painter_at(rect);
         painter.rect_filled(rect, CornerRadius::same(6), theme::STAGE);
         let all = egui::Rect::from_min_max(egui::pos2(0.0, 0.0), egui::pos2(1.0, 1.0));
@@ -229,7 +350,7 @@ impl CapturePage {
     }
 
     fn view_tip(&self, i: usize) -> String {
-        let view = &self.opened.report.views[i];
+        let view = &self.opened().report.views[i];
         let all = f64::from(view.width) * f64::from(view.height);
         let share = 100.0 * view.object_pixels as f64 / all;
         let mut lines = vec![
@@ -250,7 +371,7 @@ impl CapturePage {
     }
 
     fn worst(&self, name: &str) -> Option<Severity> {
-        let findings = self.opened.report.findings.iter();
+        let findings = self.opened().report.findings.iter();
         findings
             .filter(|f| f.subject == name)
             .map(|f| f.severity)
@@ -259,7 +380,7 @@ impl CapturePage {
 
     fn findings_ui(&self, ui: &mut egui::Ui) {
         theme::group(ui, "Findings");
-        for finding in &self.opened.report.findings {
+        for finding in &self.opened().report.findings {
             finding_ui(ui, finding);
         }
     }
@@ -375,6 +496,11 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
     if reset.clicked() {
         *settings = Estimation::default();
     }
+}
+
+fn upload_all(ctx: &egui::Context, opened: &OpenedCapture) -> Vec<[TextureHandle; 2]> {
+    let numbered = opened.thumbnails.iter().enumerate();
+    numbered.map(|(i, small)| upload(ctx, i, small)).collect()
 }
 
 fn upload(ctx: &egui::Context, i: usize, thumbnail: &Thumbnail) -> [TextureHandle; 2] {

@@ -47,6 +47,10 @@ pub enum Action {
     NextLook,
     /// Close the window.
     Quit,
+    /// Bring the mesh to where the silhouettes say.
+    Align,
+    /// Set points on the mesh and mark them in photographs.
+    AlignByPoints,
     /// Start the estimation, or start it again.
     Solve,
     /// Pause the estimation or let it go on.
@@ -236,7 +240,7 @@ pub const ENTRIES: &[Entry] = &[
         "Undo",
         Menu::Edit,
         Some((CTRL, Key::Z)),
-        "Undo the last change of the light",
+        "Undo the last change of the light, or of the mesh's place",
     ),
     entry(
         Action::ExportObject,
@@ -328,6 +332,20 @@ pub const ENTRIES: &[Entry] = &[
         Menu::File,
         Some((CTRL, Key::Q)),
         "Close the window",
+    ),
+    entry(
+        Action::Align,
+        "Align the mesh by silhouettes",
+        Menu::Estimate,
+        None,
+        "Find the mesh's place, size and turn by the photographs' silhouettes",
+    ),
+    entry(
+        Action::AlignByPoints,
+        "Align the mesh by points…",
+        Menu::Estimate,
+        None,
+        "Set points on the mesh and mark them in photographs, to begin with",
     ),
     entry(
         Action::Solve,

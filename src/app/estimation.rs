@@ -668,7 +668,7 @@ fn white(capture: &Capture) -> f32 {
 }
 
 /// A stage's name as a sentence begins.
-fn sentence(stage: &str) -> String {
+pub(super) fn sentence(stage: &str) -> String {
     let mut letters = stage.chars();
     letters.next().map_or_else(String::new, |first| {
         first.to_uppercase().chain(letters).collect()

@@ -131,11 +131,18 @@ fn running_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
             format!("Opening {}", name.to_string_lossy())
         }
         Doing::Recovering(_) => "Recovering".to_owned(),
+        Doing::Aligning(part) => format!("Aligning, {:.0} %", 100.0 * part),
         Doing::Solving if app.worker.is_paused() => "Paused".to_owned(),
         Doing::Solving => "Estimating".to_owned(),
         Doing::Exporting { said, .. } => said.clone(),
     };
-    if app.page != Page::Estimation {
+    // These pages have a button of their own.
+    let own = match app.page {
+        Page::Estimation => true,
+        Page::Capture => matches!(job.doing, Doing::Aligning(_)),
+        _ => false,
+    };
+    if !own {
         let stop = ui.button("Stop").on_hover_text("Stop what is running");
         if stop.clicked() {
             requests.push(Request::Action(Action::Stop));

@@ -2,7 +2,8 @@
 //!
 //! The rooms of the window are its pages: [`welcome`], [`capture_page`], [`estimation`] and [`relight`]. What they share:
 //! [`theme`] has the look, [`commands`] every command with its keys, [`viewport`] the picture of the object, [`disc`] the
-//! hemisphere seen from above, [`notices`] the messages.
+//! hemisphere seen from above, [`notices`] the messages. A mesh that lies elsewhere is brought to its place on the capture's
+//! page: [`placing`] offers it, and [`points`] are set where silhouettes alone don't tell.
 
 mod capture_page;
 mod commands;
@@ -14,7 +15,9 @@ mod navigation;
 mod notices;
 mod open_path;
 mod palette;
+mod placing;
 mod plots;
+mod points;
 mod projects;
 mod relight;
 mod settings;
@@ -28,6 +31,7 @@ use std::sync::Arc;
 use eframe::egui;
 use eframe::egui_wgpu::RenderState;
 
+use crate::align::{Alignment, MarkedPoint};
 use crate::studio::{Document, Recoverable, state_folder};
 use crate::worker::{Command, Event, OpenedCapture, Purpose, Source, Worker};
 use capture_page::CapturePage;
@@ -60,6 +64,8 @@ enum Page {
 enum Doing {
     Opening(Source),
     Recovering(Arc<Recoverable>),
+    /// Aligning the mesh, with the part that is done.
+    Aligning(f32),
     Solving,
     Exporting {
         /// Where to.
@@ -95,6 +101,8 @@ struct Shared<'a> {
     gpu: Option<&'a RenderState>,
     /// Whether the worker has something to do.
     busy: bool,
+    /// Which part of an alignment is done, while one is made.
+    aligning: Option<f32>,
 }
 
 /// What a page asks for.
@@ -105,6 +113,8 @@ enum Request {
     Habit(Habit),
     Recover(usize),
     Discard(usize),
+    /// Align the mesh, beginning with these points; without any from nothing.
+    Align(Vec<MarkedPoint>),
 }
 
 /// The window's state.
@@ -188,6 +198,7 @@ impl App {
         if let Some(job) = &self.job {
             let text = match job.doing {
                 Doing::Solving => "Stop the estimation first, or wait for its end.",
+                Doing::Aligning(_) => "Stop the alignment first, or wait for its end.",
                 Doing::Exporting { .. } => "Stop the export first, or wait for its end.",
                 _ => "Something else is being opened; wait for its end.",
             };
@@ -227,11 +238,38 @@ impl App {
         }
     }
 
+    fn align(&mut self, points: Vec<MarkedPoint>) {
+        if let Some(page) = self.capture.as_ref().filter(|_| self.job.is_none()) {
+            let opened = Arc::clone(page.opened());
+            self.start(Command::Align { opened, points }, Doing::Aligning(0.0));
+            self.page = Page::Capture;
+        }
+    }
+
+    fn aligned(&mut self, ctx: &egui::Context, opened: OpenedCapture, alignment: &Alignment) {
+        self.notices.clear_errors();
+        let Some(page) = &mut self.capture else {
+            return;
+        };
+        let overlap = opened.report.mean_overlap();
+        let overlap = overlap.map_or(String::new(), |o| {
+            format!("Silhouettes overlap by {:.1} %.", 100.0 * o)
+        });
+        if page.aligned(ctx, opened, alignment) {
+            self.notices.add(Weight::Done, "Mesh aligned", overlap);
+        } else {
+            let title = "The mesh stays where it is";
+            self.notices
+                .add(Weight::Note, title, "No place was found that fits better.");
+        }
+    }
+
     /// Takes in what the worker has to say.
     fn listen(&mut self, ctx: &egui::Context) {
         if let Some(progress) = self.worker.progress() {
             let job = self.job.as_mut().filter(|job| job.number == progress.job);
             match (job.map(|job| &mut job.doing), &mut self.estimation) {
+                (Some(Doing::Aligning(part)), _) => *part = progress.fraction,
                 (Some(Doing::Exporting { said, .. }), _) => {
                     let percent = (100.0 * progress.fraction).floor();
                     *said = format!("Exporting {}, {percent} %", progress.stage);
@@ -317,6 +355,10 @@ impl App {
                 _ => self.notices.add(Weight::Done, what, ""),
             },
             Event::Stopped => {
+                if matches!(doing, Some(Doing::Aligning(_))) {
+                    let text = "The mesh is where it was.";
+                    self.notices.add(Weight::Note, "Alignment stopped", text);
+                }
                 if matches!(doing, Some(Doing::Exporting { .. })) {
                     let text = "No file was written.";
                     self.notices.add(Weight::Note, "Export stopped", text);
@@ -341,6 +383,7 @@ impl App {
                 let title = format!("{what} failed");
                 self.notices.add(Weight::Error, title, message);
             }
+            Event::Aligned { opened, alignment } => self.aligned(ctx, *opened, &alignment),
             Event::Picked { purpose, path } => {
                 if let Some(path) = path {
                     self.picked(purpose, path);
@@ -359,6 +402,11 @@ impl App {
                 self.save_to(&path, then);
             }
             Purpose::ExportFolder => self.export_to(&path),
+            Purpose::SaveMesh => {
+                if let Some(page) = &mut self.capture {
+                    page.save_mesh(&mut self.worker, path);
+                }
+            }
             Purpose::LightProbe => {
                 if let Some(relighting) = &mut self.relighting {
                     relighting.choose_probe(&mut self.worker, &path);
@@ -404,9 +452,13 @@ impl App {
             .is_some_and(|job| matches!(job.doing, Doing::Solving));
         match action {
             Action::OpenFolder | Action::OpenFile | Action::Demo => self.job.is_none(),
-            Action::Solve => self.capture.is_some() && self.job.is_none(),
+            Action::Solve => self.free_capture().is_some_and(CapturePage::is_seen),
+            Action::Align | Action::AlignByPoints => self.free_capture().is_some(),
             Action::Save | Action::SaveAs => {
                 self.relighting.is_some() && !self.projects.is_saving()
+            }
+            Action::Undo | Action::Redo if self.page == Page::Capture => {
+                self.free_capture().is_some_and(|page| page.can(action))
             }
             Action::Undo => self.document().is_some_and(|d| d.undo_label().is_some()),
             Action::Redo => self.document().is_some_and(|d| d.redo_label().is_some()),
@@ -415,15 +467,17 @@ impl App {
             Action::ShowCapture => self.capture.is_some(),
             Action::ShowEstimation => self.estimation.is_some(),
             Action::ShowRelighting => self.relighting.is_some(),
-            Action::Camera(n) => self
-                .viewport()
-                .is_some_and(|viewport| usize::from(n) < viewport.cameras()),
-            Action::Frame
-            | Action::ResetView
-            | Action::Brighter
-            | Action::Darker
-            | Action::Histogram
-            | Action::ResetExposure => self.viewport().is_some(),
+            Action::Camera(n) => {
+                let on_page = self.points_page().map(|page| page.capture().views.len());
+                let cameras = on_page.or_else(|| self.viewport().map(viewport::Viewport::cameras));
+                cameras.is_some_and(|cameras| usize::from(n) < cameras)
+            }
+            Action::Frame | Action::ResetView => {
+                self.viewport().is_some() || self.points_page().is_some()
+            }
+            Action::Brighter | Action::Darker | Action::Histogram | Action::ResetExposure => {
+                self.viewport().is_some()
+            }
             Action::Export | Action::ExportObject => {
                 self.document().is_some() && self.job.is_none()
             }
@@ -442,6 +496,17 @@ impl App {
             }
             _ => true,
         }
+    }
+
+    /// The capture's page, while nothing is done at length.
+    fn free_capture(&self) -> Option<&CapturePage> {
+        self.capture.as_ref().filter(|_| self.job.is_none())
+    }
+
+    /// The capture's page, while points are set on it.
+    fn points_page(&self) -> Option<&CapturePage> {
+        let page = self.capture.as_ref();
+        page.filter(|page| self.page == Page::Capture && page.by_points())
     }
 
     /// The document, on the page where it is edited.
@@ -478,9 +543,21 @@ impl App {
             Action::Demo => self.ask_to_open(Source::Demo),
             Action::Save => self.save(None),
             Action::SaveAs => self.pick(Purpose::SaveProject),
+            Action::Undo | Action::Redo if self.page == Page::Capture => {
+                if let Some(page) = &mut self.capture {
+                    page.undo(ctx, action);
+                }
+            }
             Action::Undo | Action::Redo => self.undo(action),
             Action::Welcome => self.page = Page::Welcome,
             Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
+            Action::Align => self.align(Vec::new()),
+            Action::AlignByPoints => {
+                if let Some(page) = &mut self.capture {
+                    page.set_points();
+                    self.page = Page::Capture;
+                }
+            }
             Action::Solve if self.has_edits() => self.projects.ask(Then::Solve),
             Action::Solve => self.solve(),
             Action::Pause => self.worker.pause(!self.worker.is_paused()),
@@ -536,6 +613,8 @@ impl App {
             | Action::ResetExposure => {
                 if let Some(viewport) = self.viewport_mut() {
                     viewport.act(action);
+                } else if let Some(page) = &mut self.capture {
+                    page.act(action);
                 }
             }
         }
@@ -617,6 +696,14 @@ impl App {
                 (Ok(_), None) => {}
                 (Err(text), _) => self.notices.add(Weight::Error, "Saving failed", text),
             }
+        }
+        match self.capture.as_mut().and_then(CapturePage::take_saved) {
+            Some(Ok(path)) => {
+                let text = path.display().to_string();
+                self.notices.add(Weight::Done, "Saved", text);
+            }
+            Some(Err(text)) => self.notices.add(Weight::Error, "Saving failed", text),
+            None => {}
         }
         if let Some(relighting) = &mut self.relighting {
             relighting.note_view();
@@ -724,6 +811,10 @@ impl App {
             actions: &mut actions,
             gpu: self.gpu.as_ref(),
             busy: self.job.is_some(),
+            aligning: self.job.as_ref().and_then(|job| match job.doing {
+                Doing::Aligning(part) => Some(part),
+                _ => None,
+            }),
         };
         match self.page {
             Page::Capture => {
@@ -815,6 +906,7 @@ impl eframe::App for App {
                 Request::Recover(index) => self.recover(index),
                 Request::Discard(index) => self.projects.discard(index),
                 Request::Habit(habit) => self.settings.habit = habit,
+                Request::Align(points) => self.align(points),
             }
         }
         self.show_dialogs(&ctx);

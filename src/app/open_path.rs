@@ -53,6 +53,7 @@ impl OpenPath {
                     Purpose::OpenFile => ("Open a project", "A project file or a transforms.json"),
                     Purpose::SaveProject => ("Save the project", "File to write"),
                     Purpose::ExportFolder => ("Export", "Folder to write to"),
+                    Purpose::SaveMesh => ("Save the mesh", "OBJ file to write"),
                     Purpose::LightProbe => ("Open a light probe", "A lat-long .hdr or .exr"),
                 };
                 ui.heading(title);

@@ -10,7 +10,9 @@ use std::time::{Duration, Instant};
 use eframe::egui;
 use egui_kittest::Harness;
 use egui_kittest::kittest::{NodeT as _, Queryable as _};
+use glam::DVec3;
 use rekindle::app::{App, Start};
+use rekindle::capture::{Capture, View, unpack_demo};
 use rekindle::worker::Source;
 
 /// Longer than anything here takes on a slow machine.
@@ -18,6 +20,9 @@ const PATIENCE: Duration = Duration::from_mins(4);
 
 /// A picture that has not changed for so long stands still.
 const STILL: Duration = Duration::from_millis(1500);
+
+/// Where on the picture of the mesh points are set, in parts of it.
+pub const ON_MESH: [[f32; 2]; 3] = [[0.5, 0.5], [0.35, 0.52], [0.62, 0.42]];
 
 /// The window under test.
 pub type Window = Harness<'static, App>;
@@ -156,4 +161,60 @@ pub fn drop_on(window: &mut Window, path: &Path) {
         .dropped_files
         .push(Arc::new(Dropped(path.to_owned())));
     window.step();
+}
+
+/// Writes the demo's capture into a folder, with its mesh elsewhere: turned, a hundred times as large, far off.
+pub fn misplace(folder: &Path) {
+    unpack_demo(folder).expect("written");
+    let path = folder.join("transforms.json");
+    let manifest = std::fs::read(&path).expect("a manifest");
+    let mut manifest: serde_json::Value = serde_json::from_slice(&manifest).expect("JSON");
+    manifest["mesh_transform"] = serde_json::json!([
+        [0, 0, 100, 900],
+        [0, 100, 0, 40],
+        [-100, 0, 0, 0],
+        [0, 0, 0, 1]
+    ]);
+    std::fs::write(path, manifest.to_string()).expect("written");
+}
+
+/// Where [`misplace`] puts a point of the mesh, undone.
+pub fn placed([x, y, z]: [f64; 3]) -> DVec3 {
+    DVec3::new(-z / 100.0, (y - 40.0) / 100.0, (x - 900.0) / 100.0)
+}
+
+/// Clicks at a part of what has this name.
+pub fn click_at(window: &mut Window, label: &str, part: egui::Vec2) {
+    let rect = window.get_by_label(label).rect();
+    let at = rect.min + part * rect.size();
+    window.hover_at(at);
+    window.step();
+    window.drag_at(at);
+    window.step();
+    window.drop_at(at);
+    window.step();
+    window.step();
+}
+
+/// Where a point that was set on the mesh is, as its row says.
+pub fn point_on_mesh(window: &Window, point: usize) -> [f64; 3] {
+    let part = format!("Point {point} at ");
+    let row = window.get_by_label_contains(&part);
+    let label = row.accesskit_node().label().expect("a name");
+    let numbers = label[part.len()..]
+        .split(' ')
+        .map(|v| v.parse().expect("a number"));
+    numbers.collect::<Vec<f64>>().try_into().expect("three")
+}
+
+/// Marks the selected point, which is at `place` on a mesh that [`misplace`] put elsewhere, where photograph `view` shows it.
+pub fn mark(window: &mut Window, capture: &Capture, view: usize, place: [f64; 3]) {
+    click(window, &format!("Show photograph {}", view + 1));
+    let View { name, camera, .. } = &capture.views[view];
+    let pixel = camera.project(placed(place)).expect("in front");
+    let part = egui::vec2(
+        (pixel.x / f64::from(camera.width)) as f32,
+        (pixel.y / f64::from(camera.height)) as f32,
+    );
+    click_at(window, &format!("Photograph {name}"), part);
 }
