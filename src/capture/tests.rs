@@ -1077,7 +1077,7 @@ fn a_model_may_be_of_more_photographs_than_the_capture() {
     let more = "4 0 0 0 1 0 0 5 7 b.jpg\n\n5 0 1 0 0 0 0 5 7 c.jpg\n\n";
     fixture.write("images/c.exr", bytes("rgba_half_zip.exr"));
     fixture.write(model, jpeg.clone() + more);
-    let capture = Capture::load_unplaced(fixture.folder.path()).expect("a capture");
+    let (capture, _) = Capture::load_unplaced(fixture.folder.path()).expect("a capture");
     let names: Vec<&str> = capture.views.iter().map(|v| v.name.as_str()).collect();
     assert_eq!(names, ["images/a b.exr", "images/c.exr"]);
     assert_close(
