@@ -295,7 +295,8 @@ fn a_full_disk() {
     let run = limited(&["render", "solution", "--cameras", cameras, "-o", "made"]);
     check_refusal(&run, &["made: can't be written", "space"]);
     // An earlier solution stays as it was.
-    let run = limited(&["solve", "capture", "-o", "solution", "--frequency", "20"]);
+    let again = ["--frequency", "20", "--do-all", "unchanged"];
+    let run = limited(&[&["solve", "capture", "-o", "solution"], &again[..]].concat());
     check_refusal(&run, &["solution: can't be written", "space"]);
     assert_eq!(bench.names(), before, "nothing may be left");
     assert!(bench.run(&["info", "solution"]).status.success());

@@ -1,5 +1,7 @@
 //! Least squares over similarity transforms, by Levenberg and Marquardt's method with numerical derivatives.
 
+use faer::linalg::solvers::Solve;
+use faer::{Col, Mat, Side};
 use glam::DVec3;
 
 use super::{Similarity, Stop};
@@ -74,8 +76,7 @@ impl Descent<'_> {
     ) -> f64 {
         let residuals = residuals_of(transform);
         let columns = self.derivatives(transform, &residuals, &residuals_of);
-        let normal = faer::Mat::from_fn(UNKNOWNS, UNKNOWNS, |i, j| dot(&columns[i], &columns[j]));
-        let eigenvalues = normal.self_adjoint_eigenvalues(faer::Side::Lower);
+        let eigenvalues = normal(&columns).self_adjoint_eigenvalues(Side::Lower);
         let Some((&least, &largest)) = eigenvalues
             .as_ref()
             .ok()
@@ -121,33 +122,20 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
         .sum()
 }
 
+/// The normal equations' matrix.
+fn normal(columns: &[Vec<f32>]) -> Mat<f64> {
+    Mat::from_fn(UNKNOWNS, UNKNOWNS, |i, j| dot(&columns[i], &columns[j]))
+}
+
 /// The step that makes residuals with these derivatives least, held back by `damping` times the diagonal.
 fn solve(columns: &[Vec<f32>], residuals: &[f32], damping: f64) -> Option<[f64; UNKNOWNS]> {
-    let mut rows = [[0.0; UNKNOWNS + 1]; UNKNOWNS];
+    let mut matrix = normal(columns);
+    let scale = (0..UNKNOWNS).map(|i| matrix[(i, i)]).fold(0.0, f64::max);
     for i in 0..UNKNOWNS {
-        for j in 0..UNKNOWNS {
-            rows[i][j] = dot(&columns[i], &columns[j]);
-        }
-        rows[i][i] *= 1.0 + damping;
-        rows[i][UNKNOWNS] = -dot(&columns[i], residuals);
+        // What the residuals don't show is left as it is.
+        matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + 1e-9 * scale;
     }
-    let scale = (0..UNKNOWNS).map(|i| rows[i][i]).fold(0.0, f64::max);
-    // What the residuals don't show is left as it is.
-    for (i, row) in rows.iter_mut().enumerate() {
-        row[i] += 1e-9 * scale;
-    }
-    // Elimination without pivoting, which a positive definite matrix doesn't need.
-    for i in 0..UNKNOWNS {
-        let pivot = rows[i];
-        if pivot[i] <= 0.0 || !pivot[i].is_finite() {
-            return None;
-        }
-        for (_, row) in rows.iter_mut().enumerate().filter(|(k, _)| *k != i) {
-            let factor = row[i] / pivot[i];
-            for (value, other) in row.iter_mut().zip(pivot) {
-                *value -= factor * other;
-            }
-        }
-    }
-    Some(std::array::from_fn(|i| rows[i][UNKNOWNS] / rows[i][i]))
+    let rhs = Col::from_fn(UNKNOWNS, |i| -dot(&columns[i], residuals));
+    let step = matrix.llt(Side::Lower).ok()?.solve(rhs);
+    Some(std::array::from_fn(|i| step[i])).filter(|step| step.iter().all(|s| s.is_finite()))
 }

@@ -336,7 +336,7 @@ fn mesh(report: &Report, findings: &mut Findings) {
         add(
             Severity::Warning,
             message,
-            "Export the mesh without normals, or recalculate them.",
+            "Recalculate its normals; where it has none of its own, its faces fold there or face both ways.",
         );
     }
     if mesh.non_manifold_edges > 0 {
