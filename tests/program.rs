@@ -278,7 +278,8 @@ fn ctrl_c_leaves_nothing_at_any_moment() {
         nothing_new(moment, &["solution"]);
     }
     // An earlier solution survives the interrupted writing of its successor.
-    let arguments = ["solve", source, "-o", &solution, "--frequency", "20"];
+    let again = ["--frequency", "20", "--do-all", "unchanged"];
+    let arguments = [&["solve", source, "-o", &solution], &again[..]].concat();
     let status = interrupt_at("writing the solution", &arguments);
     assert_eq!(status, Some(130));
     nothing_new("writing the solution anew", &["solution"]);
