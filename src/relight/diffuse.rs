@@ -106,10 +106,11 @@ pub fn reconstruct(
 
     let accumulators = ACCUMULATORS.min(MOST_SUMS / texels.max(1)).max(1);
     let mut sums = Sums::new(accumulators, texels);
-    sums.scatter(&footprints, size, |view, i| {
-        let f = &footprints[view];
-        f.target[i] / f.covered(i)
-    });
+    sums.clear();
+    for f in &footprints {
+        sums.scatter(f, size, |i| f.target[i] / f.covered(i));
+    }
+    sums.add_up();
     let start = sums.total.clone();
     let mut texture: Vec<Vec3A> = start
         .par_iter()
@@ -120,16 +121,15 @@ pub fn reconstruct(
         if shader.is_stopped() {
             break;
         }
-        if iteration == 1 {
-            for (f, view) in footprints.iter_mut().zip(views) {
-                let residuals = f.residuals(&texture, size);
+        sums.clear();
+        for (f, view) in footprints.iter_mut().zip(views) {
+            let residuals = f.residuals(&texture, size);
+            if iteration == 1 {
                 f.distrust_outliers(view, &residuals, typical);
             }
+            sums.scatter(f, size, |i| residuals[i] / f.covered(i));
         }
-        sums.scatter(&footprints, size, |view, i| {
-            let f = &footprints[view];
-            f.residual(i, &texture, size) / f.covered(i)
-        });
+        sums.add_up();
         texture
             .par_iter_mut()
             .zip(&sums.total)
@@ -232,31 +232,38 @@ impl Sums {
         }
     }
 
-    /// Computes the sums for a value of each view's pixels.
+    fn clear(&mut self) {
+        self.parts
+            .par_iter_mut()
+            .for_each(|part| part.fill(Vec4::ZERO));
+    }
+
+    /// Adds a value of each of a view's pixels to the parts.
     fn scatter(
         &mut self,
-        footprints: &[Footprints],
+        view: &Footprints,
         size: [usize; 2],
-        value: impl Fn(usize, usize) -> Vec3 + Sync,
+        value: impl Fn(usize) -> Vec3 + Sync,
     ) {
         let count = self.parts.len();
+        let cut = |k: usize| view.pixels.len() * k / count;
         self.parts
             .par_iter_mut()
             .enumerate()
             .for_each(|(own, part)| {
-                part.fill(Vec4::ZERO);
-                for (view, f) in footprints.iter().enumerate() {
-                    let cut = |k: usize| f.pixels.len() * k / count;
-                    for i in (cut(own)..cut(own + 1)).filter(|&i| f.weight[i] > 0.0) {
-                        let weighted = value(view, i).extend(1.0) * (f.weight[i] * f.scale[i]);
-                        for tap in f.taps_of(i) {
-                            for (texel, share) in tap.texels(size[0]) {
-                                part[texel] += share * weighted;
-                            }
+                for i in (cut(own)..cut(own + 1)).filter(|&i| view.weight[i] > 0.0) {
+                    let weighted = value(i).extend(1.0) * (view.weight[i] * view.scale[i]);
+                    for tap in view.taps_of(i) {
+                        for (texel, share) in tap.texels(size[0]) {
+                            part[texel] += share * weighted;
                         }
                     }
                 }
             });
+    }
+
+    /// The parts' total.
+    fn add_up(&mut self) {
         self.total
             .par_iter_mut()
             .enumerate()
@@ -276,14 +283,14 @@ impl Footprints {
         let (camera, photograph) = (&view.camera, &view.photograph);
         let size = [atlas.width as usize, atlas.height as usize];
         let eye = camera.position().as_vec3();
-        let mut all = Self::empty();
+        let mut all = Self::with_room(0);
         for rows in bands(camera, factor) {
             let samples =
                 Samples::trace(scene.mesh, scene.occluder, camera, rows, factor, &|| false);
             let specular = specular_band(scene, camera, shader, &samples);
             let first = samples.rows.start * samples.width;
             let row = |row: usize| {
-                let mut part = Self::empty();
+                let mut part = Self::with_room(samples.in_row(row));
                 for index in row * samples.width..(row + 1) * samples.width {
                     let pixel = first + index;
                     let covered = samples.of(index);
@@ -327,14 +334,17 @@ impl Footprints {
         all
     }
 
-    fn empty() -> Self {
+    /// Without pixels yet, with room for some of so many taps.
+    fn with_room(taps: usize) -> Self {
+        let mut starts = Vec::with_capacity(taps + 1);
+        starts.push(0);
         Self {
-            pixels: Vec::new(),
-            starts: vec![0],
-            taps: Vec::new(),
-            scale: Vec::new(),
-            target: Vec::new(),
-            weight: Vec::new(),
+            pixels: Vec::with_capacity(taps),
+            starts,
+            taps: Vec::with_capacity(taps),
+            scale: Vec::with_capacity(taps),
+            target: Vec::with_capacity(taps),
+            weight: Vec::with_capacity(taps),
         }
     }
 

@@ -42,6 +42,12 @@ impl Samples {
         &self.points[self.starts[index] as usize..self.starts[index + 1] as usize]
     }
 
+    /// Number of samples in a row, counted from the band's first.
+    pub fn in_row(&self, row: usize) -> usize {
+        let [first, end] = [row, row + 1].map(|row| self.starts[row * self.width]);
+        (end - first) as usize
+    }
+
     /// Samples that a pixel would have if the surface covered it.
     pub fn full(&self) -> usize {
         (self.factor * self.factor) as usize

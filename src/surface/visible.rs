@@ -266,29 +266,16 @@ impl ViewSurface {
         let width = self.width as usize;
         let pixels = self.triangle.len();
         let footprint = 1.0 / camera.focal.min_element();
-        let rays: Vec<DVec3> = (0..pixels)
-            .into_par_iter()
-            .map(|p| unit_depth_ray(camera, pixel_centre((p % width) as u32, (p / width) as u32)))
-            .collect();
+        // Both are asked for only where two triangles meet.
+        let ray =
+            |p: usize| unit_depth_ray(camera, pixel_centre((p % width) as u32, (p / width) as u32));
+        let to_camera = camera.world_from_camera.matrix3.transpose();
         // Inverse depth on a triangle's plane is linear in the ray: 1/z = g · d.
-        let planes: Vec<DVec3> = self
-            .triangle
-            .par_iter()
-            .zip(&self.depth)
-            .zip(&rays)
-            .map(|((&t, &z), ray)| {
-                if t == NO_TRIANGLE {
-                    return DVec3::ZERO;
-                }
-                let [a, b, c] = mesh.corners(t).map(Vec3::as_dvec3);
-                let normal = camera
-                    .world_from_camera
-                    .matrix3
-                    .transpose()
-                    .mul_vec3((b - a).cross(c - a));
-                normal / (normal.dot(*ray) * f64::from(z))
-            })
-            .collect();
+        let plane = |p: usize, ray: DVec3| {
+            let [a, b, c] = mesh.corners(self.triangle[p]).map(Vec3::as_dvec3);
+            let normal = to_camera.mul_vec3((b - a).cross(c - a));
+            normal / (normal.dot(ray) * f64::from(self.depth[p]))
+        };
         let runs_on = |p: usize, q: usize| {
             let (tp, tq) = (self.triangle[p], self.triangle[q]);
             if tp == NO_TRIANGLE || tq == NO_TRIANGLE {
@@ -298,8 +285,9 @@ impl ViewSurface {
                 return true;
             }
             let (zp, zq) = (f64::from(self.depth[p]), f64::from(self.depth[q]));
-            let zp_at_q = 1.0 / planes[p].dot(rays[q]);
-            let zq_at_p = 1.0 / planes[q].dot(rays[p]);
+            let (to_p, to_q) = (ray(p), ray(q));
+            let zp_at_q = 1.0 / plane(p, to_p).dot(to_q);
+            let zq_at_p = 1.0 / plane(q, to_q).dot(to_p);
             let gap = (zp_at_q - zq).abs().min((zq_at_p - zp).abs());
             let slope = (zp_at_q - zp).abs().max((zq_at_p - zq).abs());
             gap <= footprint * zp.min(zq) + 0.25 * slope.min((zp - zq).abs())
