@@ -93,9 +93,10 @@ impl Workshop<'_> {
     fn solve(&self, capture: &Path, options: &[String]) -> Result<Outcome, StudyError> {
         let solution = capture.with_file_name("solution");
         let own = capture.parent().unwrap_or(self.folder);
-        let mut arguments: Vec<String> = ["solve", "--json", "--quiet", "-o"]
-            .map(str::to_owned)
-            .to_vec();
+        let mut arguments: Vec<String> =
+            ["solve", "--json", "--quiet", "--do-all", "unchanged", "-o"]
+                .map(str::to_owned)
+                .to_vec();
         arguments.push(solution.to_string_lossy().into_owned());
         arguments.push(capture.to_string_lossy().into_owned());
         arguments.extend_from_slice(options);
