@@ -6,7 +6,9 @@ mod driver;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use driver::{Window, click, drawn, finished, has, still, wait_for, wait_for_iteration};
+use driver::{
+    Window, click, drawn, finished, has, shows_iteration, still, wait_for, wait_for_iteration,
+};
 use eframe::egui;
 use egui_kittest::kittest::Queryable as _;
 use rekindle::capture::Capture;
@@ -50,9 +52,11 @@ fn every_state() {
     wait_for_iteration(&mut window, 3);
     click(&mut window, "Pause");
     shoot(&mut window, "estimating_first");
-    click(&mut window, "Resume");
-    wait_for_iteration(&mut window, 14);
-    click(&mut window, "Pause");
+    // From pause to pause: a fast machine would be done before the next look.
+    while !shows_iteration(&window, 12) {
+        click(&mut window, "Resume");
+        click(&mut window, "Pause");
+    }
     shoot(&mut window, "estimating_later");
     click(&mut window, "Resume");
     wait_for(&mut window, "Light 1");

@@ -109,15 +109,18 @@ pub fn wait_for_part(window: &mut Window, part: &str) {
 
 /// Waits until an iteration at least this far is shown.
 pub fn wait_for_iteration(window: &mut Window, at_least: u32) {
-    wait(window, "iteration", |w| {
-        let shown = w.query_all_by_label_contains("Iteration ");
-        let number = |node: egui_kittest::Node<'_>| {
-            let label = node.accesskit_node().label()?;
-            let (number, _) = label.strip_prefix("Iteration ")?.split_once(',')?;
-            number.parse::<u32>().ok()
-        };
-        shown.filter_map(number).any(|n| n >= at_least)
-    });
+    wait(window, "iteration", |w| shows_iteration(w, at_least));
+}
+
+/// Whether an iteration at least this far is shown.
+pub fn shows_iteration(window: &Window, at_least: u32) -> bool {
+    let shown = window.query_all_by_label_contains("Iteration ");
+    let number = |node: egui_kittest::Node<'_>| {
+        let label = node.accesskit_node().label()?;
+        let (number, _) = label.strip_prefix("Iteration ")?.split_once(',')?;
+        number.parse::<u32>().ok()
+    };
+    shown.filter_map(number).any(|n| n >= at_least)
 }
 
 pub fn has(window: &Window, label: &str) -> bool {
