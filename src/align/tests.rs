@@ -22,6 +22,11 @@ fn similarity(axis: DVec3, angle: f64, scale: f64, translation: DVec3) -> Simila
     }
 }
 
+/// Where the moved mesh of a capture comes to lie, without being stopped.
+fn aligned(capture: &Capture, moved: &Mesh, start: Start<'_>) -> Alignment {
+    align(&capture.views, moved, start, &mut |_| (), &|| false).expect("an alignment")
+}
+
 /// Largest distance of a vertex from where it belongs after a move and the alignment, in parts of the mesh's diagonal.
 fn off(capture: &Capture, moved: &Mesh, alignment: &Alignment) -> f64 {
     let pairs = moved.positions.iter().zip(&capture.mesh.positions);
@@ -44,14 +49,7 @@ fn a_mesh_that_is_a_little_off_comes_back() {
         DVec3::new(0.08, -0.05, 0.06),
     );
     let moved = wrong.moved(&capture.mesh);
-    let alignment = align(
-        &capture.views,
-        &moved,
-        Start::Anywhere,
-        &mut |_| (),
-        &|| false,
-    )
-    .expect("an alignment");
+    let alignment = aligned(&capture, &moved, Start::Anywhere);
     let off = off(&capture, &moved, &alignment);
     assert!(off < 0.003, "{off}, overlap {:?}", alignment.mean_overlap());
     let overlap = alignment.mean_overlap();
@@ -69,14 +67,7 @@ fn a_mesh_from_elsewhere_is_found_from_nothing() {
         DVec3::new(4e4, -900.0, 77.0),
     );
     let moved = wrong.moved(&capture.mesh);
-    let alignment = align(
-        &capture.views,
-        &moved,
-        Start::Anywhere,
-        &mut |_| (),
-        &|| false,
-    )
-    .expect("an alignment");
+    let alignment = aligned(&capture, &moved, Start::Anywhere);
     let off = off(&capture, &moved, &alignment);
     assert!(off < 0.003, "{off}, overlap {:?}", alignment.mean_overlap());
     assert!(!alignment.ambiguous);
@@ -207,14 +198,7 @@ fn marks_set_by_hand_are_refined_by_silhouettes() {
     let points = marks(&capture, &wrong, &[&[0, 1], &[1, 2], &[0, 4], &[3]], 3.0);
     let placed = Placement::new(&capture.views, &points).expect("a place");
     assert!(placed.mean_miss() < 4.0, "{}", placed.mean_miss());
-    let alignment = align(
-        &capture.views,
-        &moved,
-        Start::Marks(&points),
-        &mut |_| (),
-        &|| false,
-    )
-    .expect("an alignment");
+    let alignment = aligned(&capture, &moved, Start::Marks(&points));
     let off = off(&capture, &moved, &alignment);
     assert!(off < 0.004, "{off}, overlap {:?}", alignment.mean_overlap());
 }
@@ -240,14 +224,7 @@ fn marks_hold_the_turn_that_silhouettes_leave_open() {
     let wrong = elsewhere();
     let moved = wrong.moved(&capture.mesh);
     let points = marks(&capture, &wrong, &[&[0, 1], &[1, 2], &[0, 4], &[3, 5]], 1.0);
-    let alignment = align(
-        &capture.views,
-        &moved,
-        Start::Marks(&points),
-        &mut |_| (),
-        &|| false,
-    )
-    .expect("an alignment");
+    let alignment = aligned(&capture, &moved, Start::Marks(&points));
     let off = off(&capture, &moved, &alignment);
     assert!(off < 0.01, "{off}, overlap {:?}", alignment.mean_overlap());
 }
@@ -261,14 +238,7 @@ fn without_silhouettes_marks_alone_place_the_mesh() {
     let wrong = elsewhere();
     let moved = wrong.moved(&capture.mesh);
     let points = marks(&capture, &wrong, &[&[0, 1], &[1, 2], &[0, 4]], 0.0);
-    let alignment = align(
-        &capture.views,
-        &moved,
-        Start::Marks(&points),
-        &mut |_| (),
-        &|| false,
-    )
-    .expect("an alignment");
+    let alignment = aligned(&capture, &moved, Start::Marks(&points));
     assert!(off(&capture, &moved, &alignment) < 1e-3);
     assert!(alignment.overlap.iter().all(Option::is_none));
 }

@@ -10,6 +10,7 @@ mod commands;
 mod disc;
 mod estimation;
 mod exposures;
+mod history;
 mod menus;
 mod navigation;
 mod notices;

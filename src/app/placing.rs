@@ -7,6 +7,7 @@ use eframe::egui::{self, RichText};
 use glam::DMat4;
 
 use super::commands::Action;
+use super::history::History;
 use super::points::progress_ui;
 use super::theme::{self, Mark};
 use super::{Request, Shared};
@@ -43,8 +44,7 @@ type Saved = Result<(PathBuf, DMat4), String>;
 /// The place of the mesh now, those before and after, and the place that the capture's file has.
 pub(super) struct Placing {
     pub(super) now: State,
-    undone: Vec<State>,
-    done: Vec<State>,
+    history: History<State>,
     written: DMat4,
     saving: bool,
     saved: Arc<Latest<Saved>>,
@@ -59,8 +59,7 @@ impl Placing {
                 moved: DMat4::IDENTITY,
                 outcome: None,
             },
-            undone: Vec::new(),
-            done: Vec::new(),
+            history: History::new(),
             written: DMat4::IDENTITY,
             saving: false,
             saved: Arc::default(),
@@ -69,28 +68,23 @@ impl Placing {
 
     /// Takes another place of the mesh, which can be undone.
     pub(super) fn change(&mut self, next: State) {
-        self.done.push(std::mem::replace(&mut self.now, next));
-        self.undone.clear();
+        self.history.keep(std::mem::replace(&mut self.now, next));
     }
 
     pub(super) fn can_undo(&self) -> bool {
-        !self.done.is_empty()
+        self.history.can_undo()
     }
 
     pub(super) fn can_redo(&self) -> bool {
-        !self.undone.is_empty()
+        self.history.can_redo()
     }
 
     pub(super) fn undo(&mut self) {
-        if let Some(before) = self.done.pop() {
-            self.undone.push(std::mem::replace(&mut self.now, before));
-        }
+        self.history.undo(&mut self.now);
     }
 
     pub(super) fn redo(&mut self) {
-        if let Some(after) = self.undone.pop() {
-            self.done.push(std::mem::replace(&mut self.now, after));
-        }
+        self.history.redo(&mut self.now);
     }
 
     /// The file of the capture into which the place can be written.

@@ -229,7 +229,7 @@ fn unchanged(args: &SolveArgs, capture: &Capture) -> Option<Solution> {
     if args.options.do_all.contains(&ShortcutArg::Unchanged) {
         return None;
     }
-    Solution::load_of_origin(&args.output, &origin(capture, &args.options.options()))
+    Solution::load_of_origin(&args.output, || origin(capture, &args.options.options()))
 }
 
 /// Says what was found and where it is; `timings` are the seconds of each stage, when it was found.

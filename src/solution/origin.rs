@@ -27,10 +27,11 @@ fn program() -> Option<(u64, std::time::SystemTime)> {
 }
 
 impl Solution {
-    /// The solution in a folder, if it is whole and of this [`origin`].
-    pub fn load_of_origin(folder: &Path, origin: &str) -> Option<Self> {
+    /// The solution in a folder, if there is one, it is whole, and `origin` says its [`origin`]: a look at every pixel, for
+    /// which there must be a reason.
+    pub fn load_of_origin(folder: &Path, origin: impl FnOnce() -> String) -> Option<Self> {
         let manifest = read_manifest(folder, &folder.join("solution.json")).ok()?;
-        (manifest.origin == origin)
+        (manifest.origin == origin())
             .then(|| Self::load(folder).ok())
             .flatten()
     }

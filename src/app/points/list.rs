@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
 
+use super::super::history::History;
 use crate::align::{Mark, MarkedPoint, MarksError, Placement};
 use crate::capture::Capture;
 
@@ -18,8 +19,7 @@ struct State {
 pub(super) struct Points {
     capture: Arc<Capture>,
     now: State,
-    undone: Vec<State>,
-    done: Vec<State>,
+    history: History<State>,
     /// Where they place the mesh.
     placement: Result<Placement, MarksError>,
     /// Changes with the placement.
@@ -35,8 +35,7 @@ impl Points {
                 points,
                 selected: None,
             },
-            undone: Vec::new(),
-            done: Vec::new(),
+            history: History::new(),
             placement,
             version: 0,
         }
@@ -79,8 +78,7 @@ impl Points {
 
     /// What follows can be undone in one step.
     pub(super) fn begin(&mut self) {
-        self.done.push(self.now.clone());
-        self.undone.clear();
+        self.history.keep(self.now.clone());
     }
 
     /// Adds a point of the mesh and selects it.
@@ -135,23 +133,21 @@ impl Points {
     }
 
     pub(super) fn can_undo(&self) -> bool {
-        !self.done.is_empty()
+        self.history.can_undo()
     }
 
     pub(super) fn can_redo(&self) -> bool {
-        !self.undone.is_empty()
+        self.history.can_redo()
     }
 
     pub(super) fn undo(&mut self) {
-        if let Some(before) = self.done.pop() {
-            self.undone.push(std::mem::replace(&mut self.now, before));
+        if self.history.undo(&mut self.now) {
             self.changed();
         }
     }
 
     pub(super) fn redo(&mut self) {
-        if let Some(after) = self.undone.pop() {
-            self.done.push(std::mem::replace(&mut self.now, after));
+        if self.history.redo(&mut self.now) {
             self.changed();
         }
     }
