@@ -70,6 +70,8 @@ enum ShortcutArg {
     ShadowRays,
     /// Try all roughnesses, for both specular models
     Roughnesses,
+    /// Make the texture from all views, also where eight others see the surface better
+    Views,
     /// Solve again what has not changed since the solution that is there was written
     Unchanged,
 }
@@ -84,6 +86,7 @@ impl ShortcutArg {
             Self::UnlitPoints => Shortcut::UnlitPoints,
             Self::ShadowRays => Shortcut::ShadowRays,
             Self::Roughnesses => Shortcut::Roughnesses,
+            Self::Views => Shortcut::Views,
             Self::Unchanged => return None,
         })
     }

@@ -20,17 +20,20 @@ pub enum Shortcut {
     /// Roughnesses far from the best of the other specular model, or beyond several worse ones, are not tried, and a model that is
     /// clearly worse is not improved.
     Roughnesses,
+    /// Where many views see a part of the surface, its texture is reconstructed from the best of them.
+    Views,
 }
 
 impl Shortcut {
     /// All there are.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::DarkCells,
         Self::FarCells,
         Self::Lobes,
         Self::UnlitPoints,
         Self::ShadowRays,
         Self::Roughnesses,
+        Self::Views,
     ];
 
     /// Name in files and on the command line.
@@ -42,6 +45,7 @@ impl Shortcut {
             Self::UnlitPoints => "unlit-points",
             Self::ShadowRays => "shadow-rays",
             Self::Roughnesses => "roughnesses",
+            Self::Views => "views",
         }
     }
 }

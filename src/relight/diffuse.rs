@@ -12,13 +12,15 @@
 use glam::{Vec2, Vec3, Vec3A, Vec4};
 use rayon::prelude::*;
 
+use super::best_views::BestViews;
 use super::measure::psnr;
-use super::render::{Scene, specular_band};
+use super::render::{Scene, specular_tiles};
 use super::samples::{Samples, bands};
 use super::shading::Shader;
 use crate::capture::View;
+use crate::estimate::{Shortcut, Shortcuts};
 use crate::hemisphere;
-use crate::surface::Atlas;
+use crate::surface::{Atlas, ViewSurface};
 
 /// Sub-samples of all views together: the more pixels, the fewer each has.
 const MAX_SAMPLES: usize = 24 << 20;
@@ -38,6 +40,8 @@ const OUTLIER: f32 = 6.0;
 const ACCUMULATORS: usize = 4;
 /// … and fewer where they would have more sums than these together.
 const MOST_SUMS: usize = 32 << 20;
+/// Where not all pixels serve the texture, every so-manieth one in each direction tells how well it fits.
+const FIT_STRIDE: usize = 4;
 /// Pixels that tell a median.
 const ENOUGH_PIXELS: usize = 1 << 20;
 /// Weight, in fully trusted pixels, at which a texel's confidence is one half.
@@ -66,7 +70,8 @@ pub struct ViewFit {
     pub psnr_db: f32,
 }
 
-/// A view prepared for reconstruction: only the pixels that the surface covers.
+/// A view prepared for reconstruction: only the pixels that the surface covers, tile by tile, so that those one after the
+/// other read texels beside each other.
 struct Footprints {
     /// Index of each pixel in the photograph.
     pixels: Vec<u32>,
@@ -78,8 +83,10 @@ struct Footprints {
     scale: Vec<f32>,
     /// What was measured, minus the specular part.
     target: Vec<Vec3>,
-    /// Confidence in the target, 0 to 1.
+    /// Confidence in the target, 0 to 1; 0 where other views serve that part of the surface.
     weight: Vec<f32>,
+    /// Pixels that show the surface but serve for nothing.
+    left_out: usize,
 }
 
 /// A bilinear look-up: the upper left of four texels, and how far beyond its centre, in 1/65535 of a texel.
@@ -90,17 +97,44 @@ struct Tap {
     down: u16,
 }
 
-/// Estimates the texture. `shader` holds the lighting under which the views were taken.
+/// Estimates the texture. `shader` holds the lighting under which the views were taken, `surfaces` is what each of them sees.
 pub fn reconstruct(
     scene: &Scene,
     views: &[View],
+    surfaces: Vec<ViewSurface>,
     atlas: &Atlas,
     shader: &Shader,
+    shortcuts: &Shortcuts,
 ) -> DiffuseTexture {
     let factor = sampling_factor(views);
     let typical = typical_radiance(views);
-    let trace = |view| Footprints::trace(scene, view, atlas, shader, factor, typical);
-    let mut footprints: Vec<Footprints> = views.iter().map(trace).collect();
+    let best = shortcuts
+        .takes(Shortcut::Views)
+        .then(|| BestViews::new(scene, views, &surfaces, atlas, shader, typical))
+        .flatten();
+    // Of what they see only the triangles are asked for any more, and these only where there are no finer samples.
+    let triangles = |surface: ViewSurface| (factor == 1).then_some(surface.triangle);
+    let triangles: Vec<Option<Vec<u32>>> = surfaces.into_iter().map(triangles).collect();
+    let tracer = Tracer {
+        scene,
+        atlas,
+        shader,
+        factor,
+        typical,
+    };
+    let trace = |(index, (view, triangles)): (usize, (&View, Option<Vec<u32>>))| {
+        let serves = |triangle| best.as_ref().is_none_or(|b| b.serve(triangle, index));
+        let footprints = tracer.trace(view, triangles.as_deref(), &serves);
+        let left_out = footprints.left_out;
+        shortcuts.count(
+            Shortcut::Views,
+            footprints.pixels.len() + left_out,
+            left_out,
+        );
+        footprints
+    };
+    let mut footprints: Vec<Footprints> =
+        views.iter().zip(triangles).enumerate().map(trace).collect();
     let texels = (atlas.width * atlas.height) as usize;
     let size = [atlas.width as usize, atlas.height as usize];
 
@@ -271,33 +305,61 @@ impl Sums {
     }
 }
 
-impl Footprints {
+/// What footprints are traced with.
+struct Tracer<'a> {
+    scene: &'a Scene<'a>,
+    atlas: &'a Atlas,
+    shader: &'a Shader<'a>,
+    /// Sub-samples along each side of a pixel.
+    factor: u32,
+    /// A typical diffuse radiance.
+    typical: f32,
+}
+
+impl Tracer<'_> {
+    /// The pixels of a view; `triangles` are the front-most at their centres, where they are known, and `serves` says whether
+    /// the texture of a triangle is made from this view.
     fn trace(
-        scene: &Scene,
+        &self,
         view: &View,
-        atlas: &Atlas,
-        shader: &Shader,
-        factor: u32,
-        typical: f32,
-    ) -> Self {
+        triangles: Option<&[u32]>,
+        serves: &(dyn Fn(u32) -> bool + Sync),
+    ) -> Footprints {
+        let Self {
+            scene,
+            atlas,
+            shader,
+            factor,
+            typical,
+        } = *self;
         let (camera, photograph) = (&view.camera, &view.photograph);
         let size = [atlas.width as usize, atlas.height as usize];
         let eye = camera.position().as_vec3();
-        let mut all = Self::with_room(0);
+        let mut all = Footprints::with_room(0);
         for rows in bands(camera, factor) {
-            let samples =
-                Samples::trace(scene.mesh, scene.occluder, camera, rows, factor, &|| false);
-            let specular = specular_band(scene, camera, shader, &samples);
+            let wanted = |at: [usize; 2], triangle: u32| tells_fit(at) || serves(triangle);
+            let (mesh, occluder) = (scene.mesh, scene.occluder);
+            let samples = match triangles {
+                Some(triangles) => {
+                    let width = camera.width as usize;
+                    let triangles = &triangles[rows.start * width..rows.end * width];
+                    Samples::of_view(mesh, camera, triangles, rows, &wanted)
+                }
+                None => Samples::trace(mesh, occluder, camera, rows, factor, &wanted, &|| false),
+            };
+            all.left_out += samples.left_out;
             let first = samples.rows.start * samples.width;
-            let row = |row: usize| {
-                let mut part = Self::with_room(samples.in_row(row));
-                for index in row * samples.width..(row + 1) * samples.width {
+            let tile = |[left, top]: [usize; 2], [width, height]: [usize; 2], specular: &[Vec3]| {
+                let places = (0..width * height).map(|i| (left + i % width, top + i / width));
+                let places = places.map(|(x, y)| y * samples.width + x);
+                let mut part =
+                    Footprints::with_room(places.clone().map(|i| samples.of(i).len()).sum());
+                for (index, &specular) in places.zip(specular) {
                     let pixel = first + index;
                     let covered = samples.of(index);
                     if covered.is_empty() || !photograph.usable[pixel] {
                         continue;
                     }
-                    let specular = specular[index];
                     let middle = &covered[covered.len() / 2];
                     let point = scene.mesh.point(middle.triangle, middle.barycentric);
                     let cos_view = point.normal.dot((eye - point.position).normalize_or_zero());
@@ -310,9 +372,11 @@ impl Footprints {
                             .as_ref()
                             .is_none_or(|c| c[pixel] > 0.999);
                     let trust = if whole { 1.0 } else { MIXED_WEIGHT };
-                    let error =
-                        (BASE_ERROR * typical).hypot(SPECULAR_ERROR * specular.max_element());
-                    let certainty = (BASE_ERROR * typical / error).powi(2);
+                    let certainty = if serves(middle.triangle) {
+                        certainty(specular, typical)
+                    } else {
+                        0.0
+                    };
                     part.pixels.push(pixel as u32);
                     part.taps.extend(covered.iter().map(|s| {
                         let [a, b, c] = atlas.corner_uvs[s.triangle as usize];
@@ -328,12 +392,13 @@ impl Footprints {
                 }
                 part
             };
-            let parts: Vec<Self> = (0..samples.rows.len()).into_par_iter().map(row).collect();
-            all.append(parts);
+            all.append(specular_tiles(scene, camera, shader, &samples, tile));
         }
         all
     }
+}
 
+impl Footprints {
     /// Without pixels yet, with room for some of so many taps.
     fn with_room(taps: usize) -> Self {
         let mut starts = Vec::with_capacity(taps + 1);
@@ -345,6 +410,7 @@ impl Footprints {
             scale: Vec::with_capacity(taps),
             target: Vec::with_capacity(taps),
             weight: Vec::with_capacity(taps),
+            left_out: 0,
         }
     }
 
@@ -433,8 +499,11 @@ impl Footprints {
 
     fn fit(&self, view: &View, texture: &[Vec3A], size: [usize; 2]) -> ViewFit {
         let coverage = view.photograph.coverage.as_deref();
+        let width = view.camera.width as usize;
+        let counts = |pixel: usize| self.left_out == 0 || tells_fit([pixel % width, pixel / width]);
         let inside: Vec<usize> = (0..self.pixels.len())
             .filter(|&i| coverage.is_none_or(|c| c[self.pixels[i] as usize] > 0.999))
+            .filter(|&i| counts(self.pixels[i] as usize))
             .collect();
         let measured: Vec<Vec3> = inside
             .par_iter()
@@ -453,6 +522,17 @@ impl Footprints {
             psnr_db: psnr(&measured, &rendered),
         }
     }
+}
+
+/// Weight of a pixel from which a highlight was subtracted.
+pub(super) fn certainty(specular: Vec3, typical: f32) -> f32 {
+    let error = (BASE_ERROR * typical).hypot(SPECULAR_ERROR * specular.max_element());
+    (BASE_ERROR * typical / error).powi(2)
+}
+
+/// Whether the pixel in this column and row is looked at for the fit alone where it does not serve the texture.
+fn tells_fit([x, y]: [usize; 2]) -> bool {
+    x.is_multiple_of(FIT_STRIDE) && y.is_multiple_of(FIT_STRIDE)
 }
 
 /// sRGB encoding of linear values, clamped to [0, 1].

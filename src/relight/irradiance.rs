@@ -253,7 +253,7 @@ fn texel_spacing(scene: &Scene, atlas: &Atlas) -> f32 {
 type Shares = Option<[f32; 3]>;
 
 /// Number of texels that belong to each triangle.
-fn texels_of_triangles(mesh: &Mesh, atlas: &Atlas) -> Vec<u32> {
+pub(super) fn texels_of_triangles(mesh: &Mesh, atlas: &Atlas) -> Vec<u32> {
     let mut texels = vec![0_u32; mesh.triangles.len()];
     for texel in atlas.texels.iter().filter(|t| !t.gutter) {
         texels[texel.triangle as usize] += 1;

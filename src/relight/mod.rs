@@ -3,6 +3,7 @@
 
 mod albedo;
 mod ambient;
+mod best_views;
 mod diffuse;
 mod edits;
 mod environment;

@@ -135,6 +135,7 @@ pub fn render_bands(
             camera,
             rows.clone(),
             FACTOR,
+            &|_, _| true,
             stop,
         );
         if stop() {
@@ -174,17 +175,28 @@ pub fn render(scene: &Scene, camera: &Camera, shader: &Shader, diffuse: Diffuse)
     picture
 }
 
-/// Specular radiance of the pixels that `samples` cover, premultiplied by coverage.
-pub(super) fn specular_band(
+/// Calls `each` for every tile that `samples` cover, with the place of its first pixel in the band, its size and its pixels'
+/// specular radiance, premultiplied by coverage; the results are in the tiles' order.
+pub(super) fn specular_tiles<T: Send>(
     scene: &Scene,
     camera: &Camera,
     shader: &Shader,
     samples: &Samples,
-) -> Vec<Vec3> {
-    render_band(scene, camera, shader, Diffuse::Absent, samples, &|| false)
-        .into_iter()
-        .map(|p| p.specular)
-        .collect()
+    each: impl Fn([usize; 2], [usize; 2], &[Vec3]) -> T + Sync,
+) -> Vec<T> {
+    let each = |corner, size, pixels: Vec<Pixel>| {
+        let specular: Vec<Vec3> = pixels.iter().map(|p| p.specular).collect();
+        each(corner, size, &specular)
+    };
+    render_tiles(
+        scene,
+        camera,
+        shader,
+        Diffuse::Absent,
+        samples,
+        &|| false,
+        each,
+    )
 }
 
 fn render_band(
@@ -195,17 +207,47 @@ fn render_band(
     samples: &Samples,
     stop: Stop,
 ) -> Vec<Pixel> {
+    let tiles = render_tiles(
+        scene,
+        camera,
+        shader,
+        diffuse,
+        samples,
+        stop,
+        |corner, size, pixels| (corner, size, pixels),
+    );
+    let width = samples.width;
+    let mut band = vec![Pixel::default(); width * samples.rows.len()];
+    for ([x, y], [tile_width, _], pixels) in &tiles {
+        for (row, line) in pixels.chunks(*tile_width).enumerate() {
+            let start = (y + row) * width + x;
+            band[start..start + tile_width].copy_from_slice(line);
+        }
+    }
+    band
+}
+
+/// Renders the tiles of a band and calls `each` for every one, with the place of its first pixel in the band and its size.
+fn render_tiles<T: Send>(
+    scene: &Scene,
+    camera: &Camera,
+    shader: &Shader,
+    diffuse: Diffuse,
+    samples: &Samples,
+    stop: Stop,
+    each: impl Fn([usize; 2], [usize; 2], Vec<Pixel>) -> T + Sync,
+) -> Vec<T> {
     let (width, height) = (samples.width, samples.rows.len());
     let columns = width.div_ceil(TILE);
-    let tiles: Vec<Vec<Pixel>> = (0..columns * height.div_ceil(TILE))
+    (0..columns * height.div_ceil(TILE))
         .into_par_iter()
         .map(|tile| {
             let corner = [tile % columns * TILE, tile / columns * TILE];
             let size = [TILE.min(width - corner[0]), TILE.min(height - corner[1])];
             if stop() || shader.is_stopped() {
-                return vec![Pixel::default(); size[0] * size[1]];
+                return each(corner, size, vec![Pixel::default(); size[0] * size[1]]);
             }
-            Tile {
+            let tile = Tile {
                 scene,
                 shader,
                 samples,
@@ -214,20 +256,10 @@ fn render_band(
                 eye: camera.position().as_vec3(),
                 footprint: (1.0 / camera.focal.min_element()) as f32,
                 relit: matches!(diffuse, Diffuse::Relit(..)),
-            }
-            .render(diffuse)
+            };
+            each(corner, size, tile.render(diffuse))
         })
-        .collect();
-    let mut band = vec![Pixel::default(); width * height];
-    for (index, tile) in tiles.iter().enumerate() {
-        let (x, y) = (index % columns * TILE, index / columns * TILE);
-        let tile_width = TILE.min(width - x);
-        for (row, line) in tile.chunks(tile_width).enumerate() {
-            let start = (y + row) * width + x;
-            band[start..start + tile_width].copy_from_slice(line);
-        }
-    }
-    band
+        .collect()
 }
 
 /// A rectangle of pixels.

@@ -10,7 +10,7 @@ use super::{Fit, HemispherePicture, Skipped, Solution, SolutionLamp, lighting, o
 use crate::capture::{Camera, Capture, Mesh, View};
 use crate::estimate::{
     Brdf, Diagnostics, Estimate, EstimateInput, EstimateParams, Interim, Iteration, Observer,
-    Stopped, estimate, watched,
+    Shortcuts, Stopped, estimate, watched,
 };
 use crate::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
@@ -133,22 +133,24 @@ pub fn solve(
         measured = Measured::new(mesh, &capture.views, observer, TEXTURE)?;
         minimum = minimum_texture(mesh, &measured.atlas, &capture.views, &measured.surfaces);
     }
-    // Eleven bytes for every pixel of all views, which nothing asks for any more.
-    measured.surfaces = Vec::new();
     clock.lap("estimate");
 
     let lamps = name_lamps(&grid, &found);
     let light = lighting(&grid, &found.radiance, &lamps, Vec3::ZERO);
+    let shortcuts = Shortcuts::without(options.estimate.avoided);
     let sight = Sight {
         mesh,
+        surfaces: std::mem::take(&mut measured.surfaces),
         measured: &measured,
         views: &capture.views,
+        shortcuts: &shortcuts,
     };
     let (mut texture, albedo) =
-        textures(&sight, found.brdf, &light, &minimum, &mut clock, observer)?;
+        textures(sight, found.brdf, &light, &minimum, &mut clock, observer)?;
     let atlas = measured.atlas;
 
-    let skipped = skipped(&found, &corrections);
+    let mut skipped = skipped(&found, &corrections);
+    skipped.left_out.extend(shortcuts.counted());
     round_to_halves(&mut texture.confidence);
     let warnings = [
         stated.warnings.clone(),
@@ -191,11 +193,14 @@ struct Sight<'a> {
     mesh: &'a Mesh,
     measured: &'a Measured,
     views: &'a [View],
+    /// What each view sees.
+    surfaces: Vec<ViewSurface>,
+    shortcuts: &'a Shortcuts,
 }
 
 /// The diffuse texture and the pseudo-albedo of what the views see, under the light that was found.
 fn textures(
-    sight: &Sight<'_>,
+    sight: Sight<'_>,
     brdf: Option<Brdf>,
     light: &Lighting,
     minimum: &MinimumTexture,
@@ -208,6 +213,8 @@ fn textures(
             occluder, atlas, ..
         },
         views,
+        surfaces,
+        shortcuts,
     } = sight;
     watched(observer, |watcher| {
         let stop = watcher.stop();
@@ -229,7 +236,7 @@ fn textures(
                 }),
         };
         let shader = Shader::new(occluder, brdf, light).stopped_by(stop);
-        let mut texture = reconstruct(&scene, views, atlas, &shader);
+        let mut texture = reconstruct(&scene, views, surfaces, atlas, &shader, shortcuts);
         clock.lap("texture");
         report(&mut observer, ALBEDO)?;
         let albedo = separate(&scene, atlas, &shader, &mut texture);

@@ -15,7 +15,7 @@ pub use texture::{
     FULL_COVERAGE, GRAZING, MinimumTexture, Observation, is_object, minimum_texture, observations,
     observe, wanted_density,
 };
-pub use visible::{NO_TRIANGLE, ViewSurface, barycentric_at, front_most};
+pub use visible::{Barycentrics, NO_TRIANGLE, ViewSurface, front_most};
 
 #[cfg(test)]
 pub(crate) mod fixtures;

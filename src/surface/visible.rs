@@ -227,20 +227,42 @@ pub fn front_most(mesh: &Mesh, occluder: &Occluder, camera: &Camera) -> (Vec<u32
     }
 }
 
-/// Weights of the second and third corner of `triangle` where the ray through a pixel's centre meets its plane.
-pub fn barycentric_at(mesh: &Mesh, camera: &Camera, triangle: u32, x: u32, y: u32) -> Option<Vec2> {
-    let pose = &camera.world_from_camera;
-    let ray = pose.matrix3 * unit_depth_ray(camera, pixel_centre(x, y));
-    let corners = mesh.corners(triangle);
-    let [a, b, c] = corners.map(|p| p.as_dvec3() - pose.translation);
-    let weights = DVec3::new(
-        b.cross(c).dot(ray),
-        c.cross(a).dot(ray),
-        a.cross(b).dot(ray),
-    );
-    let sum = weights.element_sum();
-    let barycentric = DVec2::new(weights.y, weights.z) / sum;
-    barycentric.is_finite().then(|| barycentric.as_vec2())
+/// Places on triangles that pixels' centres show, one after the other: what the last triangle needed is kept for the next
+/// pixel.
+pub struct Barycentrics<'a> {
+    mesh: &'a Mesh,
+    camera: &'a Camera,
+    triangle: u32,
+    /// The last triangle's weights are in the ratio of these, times the ray of unit depth.
+    edges: [DVec3; 3],
+}
+
+impl<'a> Barycentrics<'a> {
+    /// Nothing has been asked for yet.
+    pub fn new(mesh: &'a Mesh, camera: &'a Camera) -> Self {
+        Self {
+            mesh,
+            camera,
+            triangle: NO_TRIANGLE,
+            edges: [DVec3::ZERO; 3],
+        }
+    }
+
+    /// Weights of the second and third corner of `triangle` where the ray through a pixel's centre meets its plane.
+    pub fn at(&mut self, triangle: u32, x: u32, y: u32) -> Option<Vec2> {
+        if triangle != self.triangle {
+            let pose = &self.camera.world_from_camera;
+            let corners = self.mesh.corners(triangle);
+            let [a, b, c] = corners.map(|p| p.as_dvec3() - pose.translation);
+            let to_camera = pose.matrix3.transpose();
+            self.edges = [b.cross(c), c.cross(a), a.cross(b)].map(|normal| to_camera * normal);
+            self.triangle = triangle;
+        }
+        let ray = unit_depth_ray(self.camera, pixel_centre(x, y));
+        let [first, second, third] = self.edges.map(|edge| edge.dot(ray));
+        let barycentric = DVec2::new(second, third) / (first + second + third);
+        barycentric.is_finite().then(|| barycentric.as_vec2())
+    }
 }
 
 impl ViewSurface {
@@ -325,7 +347,7 @@ impl ViewSurface {
         if t == NO_TRIANGLE {
             return None;
         }
-        barycentric_at(mesh, camera, t, x, y)
+        Barycentrics::new(mesh, camera).at(t, x, y)
     }
 
     /// The surface point that the pixel's centre shows.

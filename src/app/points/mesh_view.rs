@@ -16,7 +16,7 @@ use crate::app::navigation::{Habit, Navigation};
 use crate::app::theme;
 use crate::capture::{Camera, Capture};
 use crate::hemisphere::srgb;
-use crate::surface::{NO_TRIANGLE, Occluder, barycentric_at, front_most};
+use crate::surface::{Barycentrics, NO_TRIANGLE, Occluder, front_most};
 use crate::worker::{Latest, Worker};
 
 /// Samples along a pixel of a picture that stands still.
@@ -188,7 +188,7 @@ impl MeshView {
         if triangle == NO_TRIANGLE {
             return None;
         }
-        let weights = barycentric_at(mesh, camera, triangle, x, y)?;
+        let weights = Barycentrics::new(mesh, camera).at(triangle, x, y)?;
         Some(mesh.point(triangle, weights).position.as_dvec3())
     }
 
@@ -276,7 +276,7 @@ fn draw(capture: &Capture, occluder: &Occluder, camera: Camera, samples: u32) ->
         if triangle == NO_TRIANGLE {
             return None;
         }
-        let weights = barycentric_at(mesh, &camera, triangle, x, y)?;
+        let weights = Barycentrics::new(mesh, &camera).at(triangle, x, y)?;
         let point = mesh.point(triangle, weights);
         let normal = point.normal;
         let outward = normal * normal.dot(eye - point.position).signum();
