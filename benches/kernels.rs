@@ -20,7 +20,7 @@ use rekindle::estimate::{Brdf, Shortcuts, SpecularModel};
 use rekindle::hemisphere::HemisphereGrid;
 use rekindle::math::nnls::{self, NnlsParams};
 use rekindle::math::random::Random;
-use rekindle::relight::{LampNodes, Lighting, Scene, Shader, texel_irradiance};
+use rekindle::relight::{LampNodes, Lighting, Scene, Shader, TriangleShares, texel_irradiance};
 use rekindle::surface::{Atlas, Occluder, ViewSurface, minimum_texture, wanted_density};
 
 /// Frequency of the hemisphere, and of its coarsest cells.
@@ -270,6 +270,7 @@ fn textures(bencher: &Bencher) {
         surroundings: None,
     };
     bencher.time("irradiance of all texels under a lamp", || {
-        texel_irradiance(&scene, &DEMO.atlas, &shader)
+        let triangles = TriangleShares::new(&capture.mesh, &DEMO.atlas, &shader);
+        texel_irradiance(&scene, &DEMO.atlas, &shader, &triangles)
     });
 }

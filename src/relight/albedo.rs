@@ -14,6 +14,7 @@ use super::interreflection::Interreflection;
 use super::irradiance::texel_irradiance;
 use super::render::Scene;
 use super::shading::{Shader, ambient_gain};
+use super::triangle_shares::TriangleShares;
 use crate::surface::Atlas;
 
 /// Irradiance below this part of the typical one says nothing about the albedo …
@@ -38,9 +39,10 @@ pub fn separate(
     scene: &Scene,
     atlas: &Atlas,
     shader: &Shader,
+    triangles: &TriangleShares,
     texture: &mut DiffuseTexture,
 ) -> Albedo {
-    let mut irradiance = texel_irradiance(scene, atlas, shader);
+    let mut irradiance = texel_irradiance(scene, atlas, shader, triangles);
     if let Some(surroundings) = scene.surroundings {
         add_interreflection(
             scene,

@@ -7,9 +7,9 @@
 use rayon::prelude::*;
 
 use super::diffuse::certainty;
-use super::irradiance::texels_of_triangles;
 use super::render::Scene;
 use super::shading::{Shader, ShadingPoint, Visibility};
+use super::triangle_shares::texels_of_triangles;
 use crate::capture::{SurfacePoint, View};
 use crate::surface::{Atlas, ViewSurface, observe};
 

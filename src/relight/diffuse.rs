@@ -17,6 +17,7 @@ use super::measure::psnr;
 use super::render::{Scene, specular_tiles};
 use super::samples::{Samples, bands};
 use super::shading::Shader;
+use super::triangle_shares::TriangleShares;
 use crate::capture::View;
 use crate::estimate::{Shortcut, Shortcuts};
 use crate::hemisphere;
@@ -97,15 +98,17 @@ struct Tap {
     down: u16,
 }
 
-/// Estimates the texture. `shader` holds the lighting under which the views were taken, `surfaces` is what each of them sees.
+/// Estimates the texture. `light` is the lighting under which the views were taken and what triangles see of it, `surfaces` what
+/// each view sees.
 pub fn reconstruct(
     scene: &Scene,
     views: &[View],
     surfaces: Vec<ViewSurface>,
     atlas: &Atlas,
-    shader: &Shader,
+    light: (&Shader, &TriangleShares),
     shortcuts: &Shortcuts,
 ) -> DiffuseTexture {
+    let (shader, seen) = light;
     let factor = sampling_factor(views);
     let typical = typical_radiance(views);
     let best = shortcuts
@@ -119,6 +122,7 @@ pub fn reconstruct(
         scene,
         atlas,
         shader,
+        seen,
         factor,
         typical,
     };
@@ -310,6 +314,8 @@ struct Tracer<'a> {
     scene: &'a Scene<'a>,
     atlas: &'a Atlas,
     shader: &'a Shader<'a>,
+    /// What triangles see of the light.
+    seen: &'a TriangleShares,
     /// Sub-samples along each side of a pixel.
     factor: u32,
     /// A typical diffuse radiance.
@@ -329,6 +335,7 @@ impl Tracer<'_> {
             scene,
             atlas,
             shader,
+            seen,
             factor,
             typical,
         } = *self;
@@ -392,7 +399,7 @@ impl Tracer<'_> {
                 }
                 part
             };
-            all.append(specular_tiles(scene, camera, shader, &samples, tile));
+            all.append(specular_tiles(scene, camera, shader, seen, &samples, tile));
         }
         all
     }

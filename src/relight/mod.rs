@@ -17,6 +17,7 @@ mod reflection;
 mod render;
 mod samples;
 mod shading;
+mod triangle_shares;
 
 pub use albedo::{Albedo, separate};
 pub use diffuse::{DiffuseTexture, ViewFit, reconstruct, srgb};
@@ -30,3 +31,4 @@ pub use reflection::Surroundings;
 pub use render::{Band, Diffuse, Picture, Scene, Stop, render, render_bands};
 pub use samples::{Sample, Samples};
 pub use shading::{Shade, Shader, ShadingPoint, Visibility};
+pub use triangle_shares::TriangleShares;

@@ -13,6 +13,7 @@ use smallvec::{SmallVec, smallvec};
 use super::reflection::Surroundings;
 use super::samples::{Sample, Samples, bands};
 use super::shading::{Shade, Shader, ShadingPoint, Visibility, corners, is_coarse};
+use super::triangle_shares::TriangleShares;
 use crate::capture::{Camera, Mesh};
 use crate::estimate::Brdf;
 use crate::surface::{Atlas, Occluder};
@@ -176,27 +177,26 @@ pub fn render(scene: &Scene, camera: &Camera, shader: &Shader, diffuse: Diffuse)
 }
 
 /// Calls `each` for every tile that `samples` cover, with the place of its first pixel in the band, its size and its pixels'
-/// specular radiance, premultiplied by coverage; the results are in the tiles' order.
+/// specular radiance, premultiplied by coverage; the results are in the tiles' order. `triangles` tells what these see of the
+/// light.
 pub(super) fn specular_tiles<T: Send>(
     scene: &Scene,
     camera: &Camera,
     shader: &Shader,
+    triangles: &TriangleShares,
     samples: &Samples,
     each: impl Fn([usize; 2], [usize; 2], &[Vec3]) -> T + Sync,
 ) -> Vec<T> {
+    let light = Light {
+        shader,
+        triangles: Some(triangles),
+    };
     let each = |corner, size, pixels: Vec<Pixel>| {
         let specular: Vec<Vec3> = pixels.iter().map(|p| p.specular).collect();
         each(corner, size, &specular)
     };
-    render_tiles(
-        scene,
-        camera,
-        shader,
-        Diffuse::Absent,
-        samples,
-        &|| false,
-        each,
-    )
+    let diffuse = Diffuse::Absent;
+    render_tiles(scene, camera, light, diffuse, samples, &|| false, each)
 }
 
 fn render_band(
@@ -207,15 +207,13 @@ fn render_band(
     samples: &Samples,
     stop: Stop,
 ) -> Vec<Pixel> {
-    let tiles = render_tiles(
-        scene,
-        camera,
+    let light = Light {
         shader,
-        diffuse,
-        samples,
-        stop,
-        |corner, size, pixels| (corner, size, pixels),
-    );
+        triangles: None,
+    };
+    let each = |corner, size, pixels| (corner, size, pixels);
+    let tiles: Vec<([usize; 2], [usize; 2], Vec<Pixel>)> =
+        render_tiles(scene, camera, light, diffuse, samples, stop, each);
     let width = samples.width;
     let mut band = vec![Pixel::default(); width * samples.rows.len()];
     for ([x, y], [tile_width, _], pixels) in &tiles {
@@ -227,11 +225,19 @@ fn render_band(
     band
 }
 
+/// Light on the surface.
+#[derive(Clone, Copy)]
+struct Light<'a> {
+    shader: &'a Shader<'a>,
+    /// What triangles see of it, where that is known beforehand.
+    triangles: Option<&'a TriangleShares>,
+}
+
 /// Renders the tiles of a band and calls `each` for every one, with the place of its first pixel in the band and its size.
 fn render_tiles<T: Send>(
     scene: &Scene,
     camera: &Camera,
-    shader: &Shader,
+    light: Light,
     diffuse: Diffuse,
     samples: &Samples,
     stop: Stop,
@@ -244,12 +250,13 @@ fn render_tiles<T: Send>(
         .map(|tile| {
             let corner = [tile % columns * TILE, tile / columns * TILE];
             let size = [TILE.min(width - corner[0]), TILE.min(height - corner[1])];
-            if stop() || shader.is_stopped() {
+            if stop() || light.shader.is_stopped() {
                 return each(corner, size, vec![Pixel::default(); size[0] * size[1]]);
             }
             let tile = Tile {
                 scene,
-                shader,
+                shader: light.shader,
+                triangles: light.triangles,
                 samples,
                 corner,
                 size,
@@ -266,6 +273,8 @@ fn render_tiles<T: Send>(
 struct Tile<'a> {
     scene: &'a Scene<'a>,
     shader: &'a Shader<'a>,
+    /// What triangles see of the light, where that is known beforehand.
+    triangles: Option<&'a TriangleShares>,
     samples: &'a Samples,
     corner: [usize; 2],
     size: [usize; 2],
@@ -313,10 +322,12 @@ impl Tile<'_> {
             .map(|(main, g)| main.is_some_and(|(p, view)| self.is_lit(g, p, view)))
             .collect();
         let wanted = |index: usize, group: usize| needed[index * groups + group];
-        let visibility =
-            self.shader
-                .visibility(&mains, self.size[0], distance * self.footprint, &wanted);
-        let mirrored = self.mirrored(&pieces, &mains, distance * self.footprint);
+        let told = |index: usize, group: usize| self.told(pieces[index].first()?, group);
+        let spacing = distance * self.footprint;
+        let visibility = self
+            .shader
+            .visibility(&mains, self.size[0], spacing, &wanted, &told);
+        let mirrored = self.mirrored(&pieces, &mains, spacing);
         (0..count)
             .map(|index| {
                 let samples = self.samples_of(index);
@@ -332,14 +343,16 @@ impl Tile<'_> {
                 };
                 let seen = &visibility[index * groups..(index + 1) * groups];
                 let (first, others) = (&pieces[index][0], &pieces[index][1..]);
-                let edges = self.shadow_edges(&mains, &visibility, index, &wanted);
+                // No edge passes where a triangle's corners tell.
+                let cast = |g: usize| wanted(index, g) && told(index, g).is_none();
+                let edges = self.shadow_edges(&mains, &visibility, index, &wanted, &cast);
                 let is_cut = edges.contains(&true);
                 if is_cut {
                     let alike = |g: usize| wanted(index, g) && !edges[g];
                     // A pixel of one sample has no quarters: what was cast for it holds.
-                    let cast =
+                    let is_all =
                         |g: usize| matches!(seen[g], Visibility::Part(_)) && samples.len() == 1;
-                    let known = |g: usize| (alike(g) || cast(g)).then(|| seen[g].clone());
+                    let known = |g: usize| (alike(g) || is_all(g)).then(|| seen[g].clone());
                     for quarter in self.quarters(first, samples) {
                         add(self.shade_with(&quarter.point, known), &quarter);
                     }
@@ -347,17 +360,21 @@ impl Tile<'_> {
                     add(self.shade(&first.point, seen), first);
                 }
                 // Smooth light is on other surfaces as on the pixel's main one, shadows are not.
-                let smooth = |g: usize| {
-                    let is_smooth = matches!(seen[g], Visibility::Fraction(_));
-                    is_smooth.then(|| seen[g].clone())
+                let known = |piece: &Piece, g: usize| {
+                    let smooth = || {
+                        let is_smooth = matches!(seen[g], Visibility::Fraction(_));
+                        (is_smooth && !self.shader.is_sharp(g)).then(|| seen[g].clone())
+                    };
+                    self.told(piece, g).or_else(smooth)
                 };
                 for piece in others {
                     if is_cut {
                         for quarter in self.quarters(piece, samples) {
-                            add(self.shade_with(&quarter.point, smooth), &quarter);
+                            let known = |g| known(&quarter, g);
+                            add(self.shade_with(&quarter.point, known), &quarter);
                         }
                     } else {
-                        add(self.shade_with(&piece.point, smooth), piece);
+                        add(self.shade_with(&piece.point, |g| known(piece, g)), piece);
                     }
                 }
                 pixel
@@ -612,13 +629,14 @@ impl Tile<'_> {
         cut
     }
 
-    /// Whether the shadow of each group ends in this pixel or between it and a neighbour.
+    /// Whether the shadow of each group that is `cast` for this pixel ends in it or between it and a neighbour.
     fn shadow_edges(
         &self,
         mains: &[Option<ShadingPoint>],
         visibility: &[Visibility],
         index: usize,
         wanted: &dyn Fn(usize, usize) -> bool,
+        cast: &dyn Fn(usize) -> bool,
     ) -> SmallVec<[bool; 16]> {
         let groups = self.shader.groups();
         let (x, y) = (index % self.size[0], index / self.size[0]);
@@ -629,7 +647,7 @@ impl Tile<'_> {
             (y + 1 < self.size[1]).then(|| index + self.size[0]),
         ];
         let has_edge = |g: usize| {
-            if !self.shader.is_sharp(g) || !wanted(index, g) {
+            if !self.shader.is_sharp(g) || !cast(g) {
                 return false;
             }
             let share = |i: usize| visibility[i * groups + g].share(self.shader.nodes(g));
@@ -639,6 +657,23 @@ impl Tile<'_> {
             })
         };
         (0..groups).map(has_edge).collect()
+    }
+
+    /// What a piece's triangle tells of a group. Where the lobe shows how the group is spread, it matters which part of it is
+    /// hidden.
+    fn told(&self, piece: &Piece, group: usize) -> Option<Visibility> {
+        let Sample {
+            triangle,
+            barycentric,
+            ..
+        } = piece.sample;
+        let told = self.triangles?.told(triangle, barycentric, group)?;
+        let is_enough = !matches!(told, Visibility::Fraction(_))
+            || !self.shader.is_sharp(group)
+            || !self
+                .shader
+                .is_resolved(group, &piece.point, self.view(&piece.point));
+        is_enough.then_some(told)
     }
 
     /// Whether a group may add to what is seen of a point.

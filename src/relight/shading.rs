@@ -435,6 +435,14 @@ impl<'a> Shader<'a> {
         self.brdf.is_some() && self.support.holds(axis, reach, point.normal, view)
     }
 
+    /// Whether a lobe towards the unit direction `view` shows how a group's light is spread, and not only how much there is.
+    pub fn is_resolved(&self, group: usize, point: &ShadingPoint, view: Vec3) -> bool {
+        let group = &self.groups[group];
+        let (axis, falloff, _) = group.towards(group.axis, point.position);
+        self.brdf
+            .is_some_and(|brdf| resolves(brdf, group.reach_from(falloff), axis, view))
+    }
+
     /// Casts a ray to each of some nodes of a group and says for its place in the list whether it is blocked; not of those
     /// behind the surface.
     fn cast_to(
@@ -543,16 +551,17 @@ impl<'a> Shader<'a> {
         }
     }
 
-    /// Visibilities on a grid of `points`, row by row, `width` of them in a row, `groups()` for each point. Only every
-    /// fourth point in each direction casts probes; those between take what all their neighbours of the same
-    /// surface agree on, and cast their own where there is no agreement. `spacing` is the typical distance of
-    /// neighbouring points; `wanted` says whether a point needs a group at all.
+    /// Visibilities on a grid of `points`, row by row, `width` of them in a row, `groups()` for each point. `told` gives those
+    /// that are known beforehand. Only every fourth point in each direction casts probes; those between take what all their
+    /// neighbours of the same surface agree on, and cast their own where there is no agreement. `spacing` is the typical
+    /// distance of neighbouring points; `wanted` says whether a point needs a group at all.
     pub fn visibility(
         &self,
         points: &[Option<ShadingPoint>],
         width: usize,
         spacing: f32,
         wanted: &dyn Fn(usize, usize) -> bool,
+        told: &dyn Fn(usize, usize) -> Option<Visibility>,
     ) -> Vec<Visibility> {
         let height = points.len() / width.max(1);
         let count = self.groups.len();
@@ -575,8 +584,9 @@ impl<'a> Shader<'a> {
                         }
                     }
                 }
+                let index = y * width + x;
                 for g in (0..count).filter(|&g| needed[g]) {
-                    all[(y * width + x) * count + g] = self.cast(point, g);
+                    all[index * count + g] = told(index, g).unwrap_or_else(|| self.cast(point, g));
                 }
             }
         }
@@ -588,8 +598,9 @@ impl<'a> Shader<'a> {
                 };
                 let corners = corners(points, size, [x, y], spacing, SAME_SURFACE_COS);
                 for g in (0..count).filter(|&g| wanted(index, g)) {
-                    let shared = self.shared(&corners, &all, g, point);
-                    all[index * count + g] = shared.unwrap_or_else(|| self.cast(point, g));
+                    all[index * count + g] = told(index, g)
+                        .or_else(|| self.shared(&corners, &all, g, point))
+                        .unwrap_or_else(|| self.cast(point, g));
                 }
             }
         }
@@ -646,9 +657,9 @@ impl<'a> Shader<'a> {
                 continue;
             }
             let (axis, falloff, _) = group.towards(group.axis, point.position);
-            let (reach, between) = (group.reach_from(falloff), (axis + view).length());
+            let reach = group.reach_from(falloff);
             if self.support.holds(axis, reach, point.normal, view) {
-                let resolved = reach > UNRESOLVED * brdf.sigma * between;
+                let resolved = resolves(brdf, reach, axis, view);
                 let nodes = group.standing_for(point, seen, resolved);
                 Self::each_seen(group, nodes, point, seen, |l, flux| {
                     specular += flux * brdf.lobe(&terms, l);
@@ -720,6 +731,11 @@ impl<'a> Shader<'a> {
             }
         }
     }
+}
+
+/// Whether a lobe resolves light within the angle `reach` of `axis`.
+fn resolves(brdf: Brdf, reach: f32, axis: Vec3, view: Vec3) -> bool {
+    reach > UNRESOLVED * brdf.sigma * (axis + view).length()
 }
 
 /// How large the patches of a wide lamp may be, radians: so that a lobe does not resolve them except at a grazing angle,

@@ -13,7 +13,8 @@ use super::error::RenderError;
 use super::lobes::{Source, merge};
 use super::surface::{Surface, to_half};
 use crate::relight::{
-    LampNodes, LightNode, Lighting, Shader, ShadingPoint, Visibility, texel_irradiance,
+    LampNodes, LightNode, Lighting, Shader, ShadingPoint, TriangleShares, Visibility,
+    texel_irradiance,
 };
 
 /// Nodes of an environment's patch are merged up to this variance of their directions, radians², where irradiance alone
@@ -213,10 +214,17 @@ fn work(shared: &Shared) {
     }
 }
 
+/// Irradiance of the light atlas' texels, without interreflection.
+fn direct_irradiance(surface: &Surface, shader: &Shader) -> Vec<Vec3> {
+    let (scene, atlas) = (surface.scene(), &surface.light_atlas);
+    let triangles = TriangleShares::new(scene.mesh, atlas, shader);
+    texel_irradiance(&scene, atlas, shader, &triangles)
+}
+
 /// Bakes a lamp.
 fn bake_lamp(surface: &Surface, order: &Order) -> Baked {
     let shader = Shader::new(&surface.occluder, surface.solution.brdf, &order.shape);
-    let direct = texel_irradiance(&surface.scene(), &surface.light_atlas, &shader);
+    let direct = direct_irradiance(surface, &shader);
     let visibility = if shader.groups() > 0 {
         seen_part(surface, &shader, &direct)
     } else {
@@ -241,11 +249,7 @@ fn bake_soft(surface: &Surface, order: &Order, draft: bool) -> Baked {
     let irradiance = if draft {
         interpolated(surface, &at_vertices)
     } else {
-        finished(
-            surface,
-            &shader,
-            &texel_irradiance(&surface.scene(), &surface.light_atlas, &shader),
-        )
+        finished(surface, &shader, &direct_irradiance(surface, &shader))
     };
     // Merging keeps the groups; were it not so, the visibilities would be of others.
     let kept = shader.groups() == groups;

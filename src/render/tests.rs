@@ -10,7 +10,8 @@ use crate::estimate::{Brdf, Diagnostics, Method, SpecularModel};
 use crate::export;
 use crate::hemisphere::{HemisphereGrid, srgb};
 use crate::relight::{
-    Interreflection, LampNodes, LightNode, Lighting, Scene, Shader, texel_irradiance,
+    Interreflection, LampNodes, LightNode, Lighting, Scene, Shader, TriangleShares,
+    texel_irradiance,
 };
 use crate::solution::{Fit, Skipped, Solution, SolutionLamp};
 use crate::studio::ViewTransform;
@@ -113,7 +114,8 @@ fn lit_texture(solution: &Solution) -> Vec<[f32; 3]> {
         brdf: solution.brdf,
         surroundings: None,
     };
-    let mut irradiance = texel_irradiance(&scene, &solution.atlas, &shader);
+    let triangles = TriangleShares::new(mesh, &solution.atlas, &shader);
+    let mut irradiance = texel_irradiance(&scene, &solution.atlas, &shader, &triangles);
     if let Some(light) = Interreflection::new(mesh, &occluder, solution.brdf) {
         let relit = light.of_light(mesh, &shader, &solution.atlas, &solution.albedo);
         for t in &solution.atlas.texels {

@@ -18,8 +18,8 @@ use crate::hemisphere::{
 use crate::math::rounding::round_to_halves;
 use crate::registration::{Correction, corrected, describe, register};
 use crate::relight::{
-    Albedo, DiffuseTexture, Interreflection, Lighting, Scene, Shader, Surroundings, ViewFit,
-    reconstruct, separate,
+    Albedo, DiffuseTexture, Interreflection, Lighting, Scene, Shader, Surroundings, TriangleShares,
+    ViewFit, reconstruct, separate,
 };
 use crate::surface::{
     Atlas, MinimumTexture, Occluder, ViewSurface, minimum_texture, wanted_density,
@@ -236,10 +236,12 @@ fn textures(
                 }),
         };
         let shader = Shader::new(occluder, brdf, light).stopped_by(stop);
-        let mut texture = reconstruct(&scene, views, surfaces, atlas, &shader, shortcuts);
+        let seen = TriangleShares::new(mesh, atlas, &shader);
+        let light = (&shader, &seen);
+        let mut texture = reconstruct(&scene, views, surfaces, atlas, light, shortcuts);
         clock.lap("texture");
         report(&mut observer, ALBEDO)?;
-        let albedo = separate(&scene, atlas, &shader, &mut texture);
+        let albedo = separate(&scene, atlas, &shader, &seen, &mut texture);
         clock.lap("albedo");
         // What long loops give after a stop is of no use.
         report(&mut observer, ALBEDO)?;
