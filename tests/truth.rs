@@ -217,7 +217,7 @@ fn a_study_judges_every_case_and_leaves_nothing_but_its_report() {
 }
 
 /// A sphere under two lamps, as small as it can be.
-fn small_capture(folder: &Path) -> Capture {
+fn small_capture(folder: &Path, views: u32) -> Capture {
     let mut recipe = Recipe {
         object: Object::Sphere,
         triangles: 2000,
@@ -229,43 +229,79 @@ fn small_capture(folder: &Path) -> Capture {
         lamps.places = Places::Spread(2);
         lamps.contrast = 1.5;
     }
-    recipe.views.count = 4;
+    recipe.views.count = views;
     recipe.views.size = [96, 72];
     recipe.views.supersampling = 1;
     make(&recipe, folder, &mut |_, _| ControlFlow::Continue(())).unwrap();
     Capture::load(folder).unwrap()
 }
 
+/// Solves a capture with some shortcuts not taken.
+fn solve_without(avoided: &[Shortcut], capture: &Capture) -> Solution {
+    let options = SolveOptions {
+        estimate: EstimateParams {
+            avoided: avoided.iter().copied().collect(),
+            ..EstimateParams::default()
+        },
+        frequency: 14,
+        radius: None,
+    };
+    solve(capture, &options, 0.0, &mut Unobserved).unwrap()
+}
+
+/// How much a shortcut left out, and of how much.
+fn counted(solution: &Solution, shortcut: Shortcut) -> (u64, u64) {
+    let mut counts = solution.skipped.left_out.iter();
+    let count = counts.find(|count| count.what == shortcut.name()).unwrap();
+    (count.left_out, count.all)
+}
+
+#[test]
+fn a_texture_from_the_best_views_is_as_good_as_one_from_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let capture = small_capture(&folder.path().join("capture"), 16);
+    let usual = solve_without(&[], &capture);
+    let whole = solve_without(&[Shortcut::Views], &capture);
+    let (left_out, all) = counted(&usual, Shortcut::Views);
+    assert!(left_out * 10 > all, "{left_out} of {all}");
+    assert_eq!(counted(&whole, Shortcut::Views).0, 0);
+    let mean = |solution: &Solution| {
+        let fits = &solution.fit.psnr_db_per_view;
+        fits.iter().sum::<f32>() / fits.len() as f32
+    };
+    let loss = mean(&whole) - mean(&usual);
+    assert!(loss < 0.5, "views are reproduced worse by {loss} dB");
+    // The texture itself, where it is known.
+    let (mut change, mut sum) = (0.0_f64, 0.0_f64);
+    for texel in &whole.atlas.texels {
+        let t = texel.index as usize;
+        if whole.confidence[t] > 0.9 && usual.confidence[t] > 0.9 {
+            change += f64::from(whole.diffuse[t][1] - usual.diffuse[t][1]).powi(2);
+            sum += f64::from(whole.diffuse[t][1]).powi(2);
+        }
+    }
+    let change = (change / sum).sqrt();
+    assert!(change < 0.01, "the texture changes by {change}");
+}
+
 #[test]
 fn what_is_left_out_changes_nothing_to_speak_of() {
     let folder = tempfile::tempdir().unwrap();
-    let capture = small_capture(&folder.path().join("capture"));
-    let without = |avoided: &[Shortcut]| {
-        let options = SolveOptions {
-            estimate: EstimateParams {
-                avoided: avoided.iter().copied().collect(),
-                ..EstimateParams::default()
-            },
-            frequency: 14,
-            radius: None,
-        };
-        solve(&capture, &options, 0.0, &mut Unobserved).unwrap()
-    };
-    let counted = |solution: &Solution, shortcut: Shortcut| {
-        let mut counts = solution.skipped.left_out.iter();
-        let count = counts.find(|count| count.what == shortcut.name()).unwrap();
-        (count.left_out, count.all)
-    };
+    let capture = small_capture(&folder.path().join("capture"), 4);
+    let without = |avoided: &[Shortcut]| solve_without(avoided, &capture);
     let angle = |one: &SolutionLamp, other: &SolutionLamp| {
         let (one, other) = (one.direction.as_dvec3(), other.direction.as_dvec3());
         one.angle_between(other)
     };
     let usual = without(&[]);
-    for shortcut in Shortcut::ALL {
+    // Views are left out of textures, and where there are many.
+    let (dark, others) = Shortcut::ALL.split_first().unwrap();
+    let (views, others) = others.split_last().unwrap();
+    assert_eq!(*views, Shortcut::Views);
+    for &shortcut in others.iter().chain([dark]) {
         let (left_out, all) = counted(&usual, shortcut);
         assert!(0 < left_out && left_out < all, "{shortcut:?}: {left_out}");
     }
-    let (dark, others) = Shortcut::ALL.split_first().unwrap();
     for avoided in [&[*dark][..], others] {
         let whole = without(avoided);
         for &shortcut in avoided {

@@ -19,9 +19,11 @@ const CLOSING_ROUNDS: usize = 2;
 /// Neighbours with a value that a node needs to be closed: more than half around it, so that the border does not grow.
 const CLOSING_NEIGHBOURS: usize = 4;
 
-/// Pixels that a view needs, some forty for each node of a hemisphere: of photographs of four times as many every second is
-/// looked at in both directions, of nine times as many every third.
-const MOST_PIXELS: usize = 1 << 20;
+/// Pixels of a view that are enough, some ten for each node of a hemisphere: of photographs of `n` times as many, every `n`-th is
+/// looked at, …
+const ENOUGH_PIXELS: usize = 1 << 18;
+/// … from one row to the next shifted by this part of `n`, so that they are spread evenly.
+const SHIFT: f32 = 0.618;
 
 /// A photograph less the rendered diffuse texture.
 #[derive(Clone, Debug)]
@@ -73,14 +75,16 @@ impl SpecularImage {
         let width = surface.width as usize;
         let camera = &view.camera;
         let eye = camera.position().as_vec3();
-        let step = surface.triangle.len().div_ceil(MOST_PIXELS).isqrt().max(1);
-        let (columns, rows) = (
-            width.div_ceil(step),
-            (surface.height as usize).div_ceil(step),
-        );
-        let pixels = (0..columns * rows).into_par_iter().filter_map(|at| {
-            let (x, y) = (at % columns * step, at / columns * step);
-            let pixel = y * width + x;
+        let step = (surface.triangle.len() / ENOUGH_PIXELS).max(1);
+        let shift = (SHIFT * step as f32) as usize;
+        let looked_at = (0..surface.height as usize)
+            .into_par_iter()
+            .flat_map_iter(|y| {
+                let row = y * width;
+                (row + y * shift % step..row + width).step_by(step)
+            });
+        let pixels = looked_at.filter_map(|pixel| {
+            let (x, y) = (pixel % width, pixel / width);
             let triangle = surface.triangle[pixel];
             let usable = triangle != NO_TRIANGLE
                 && surface.interior[pixel]

@@ -343,9 +343,7 @@ impl Tile<'_> {
                 };
                 let seen = &visibility[index * groups..(index + 1) * groups];
                 let (first, others) = (&pieces[index][0], &pieces[index][1..]);
-                // No edge passes where a triangle's corners tell.
-                let cast = |g: usize| wanted(index, g) && told(index, g).is_none();
-                let edges = self.shadow_edges(&mains, &visibility, index, &wanted, &cast);
+                let edges = self.shadow_edges(&mains, &visibility, index, &wanted);
                 let is_cut = edges.contains(&true);
                 if is_cut {
                     let alike = |g: usize| wanted(index, g) && !edges[g];
@@ -629,15 +627,18 @@ impl Tile<'_> {
         cut
     }
 
-    /// Whether the shadow of each group that is `cast` for this pixel ends in it or between it and a neighbour.
+    /// Whether the shadow of each group ends in this pixel or between it and a neighbour; none where triangles tell of the
+    /// light, as for a texture, which is the mean of many pixels.
     fn shadow_edges(
         &self,
         mains: &[Option<ShadingPoint>],
         visibility: &[Visibility],
         index: usize,
         wanted: &dyn Fn(usize, usize) -> bool,
-        cast: &dyn Fn(usize) -> bool,
     ) -> SmallVec<[bool; 16]> {
+        if self.triangles.is_some() {
+            return SmallVec::new();
+        }
         let groups = self.shader.groups();
         let (x, y) = (index % self.size[0], index / self.size[0]);
         let neighbours = [
@@ -647,7 +648,7 @@ impl Tile<'_> {
             (y + 1 < self.size[1]).then(|| index + self.size[0]),
         ];
         let has_edge = |g: usize| {
-            if !self.shader.is_sharp(g) || !cast(g) {
+            if !self.shader.is_sharp(g) || !wanted(index, g) {
                 return false;
             }
             let share = |i: usize| visibility[i * groups + g].share(self.shader.nodes(g));

@@ -29,6 +29,8 @@ pub(super) struct Found {
     pub errors: Errors,
     /// Lamps found, and how many there are.
     pub lamps: [usize; 2],
+    /// How well the views are reproduced, mean over them, dB.
+    pub fit_db: f64,
     /// What the program says against its own result.
     pub doubt: Option<String>,
     /// What it took.
@@ -160,6 +162,7 @@ mod tests {
                 hemisphere: None,
             },
             lamps: [1, 1],
+            fit_db: 40.0,
             doubt: None,
             cost: Cost::default(),
         }

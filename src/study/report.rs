@@ -92,7 +92,7 @@ fn heading(section: Section) -> &'static str {
 fn csv(studied: &[Studied]) -> String {
     let mut text = String::from(
         "group,value,verdict,words,sigma,sigma_error_pct,interval_low_pct,interval_high_pct,direction_error_deg,\
-         flux_error_pct,hemisphere_error_pct,lamps_found,lamps,total_s,floor_s,peak_mib",
+         flux_error_pct,hemisphere_error_pct,lamps_found,lamps,fit_db,total_s,floor_s,peak_mib",
     );
     for stage in STAGES {
         let _ = write!(text, ",{stage}_s");
@@ -130,6 +130,7 @@ fn numbers(found: Option<&Found>) -> String {
         of(&|f| percent(f.errors.hemisphere), 4),
         of(&|f| Some(f.lamps[0] as f64), 0),
         of(&|f| Some(f.lamps[1] as f64), 0),
+        of(&|f| Some(f.fit_db), 2),
         of(&|f| Some(f.cost.total), 4),
         of(&|f| f.cost.floor, 4),
         of(&|f| mebibytes(f.cost.peak_bytes), 1),
@@ -202,7 +203,7 @@ fn add_tables(text: &mut String, section: Section, studied: &[Studied]) {
         }
         Section::Skipping => {
             for group in studied {
-                let head = "all | estimate | × all | × estimate | σ | half its interval | σ less the first | memory";
+                let head = "all | estimate | × all | × estimate | σ | half its interval | σ less the first | fit | memory";
                 add_group(text, group, head, skipping_row);
             }
         }
@@ -291,6 +292,7 @@ fn skipping_row(outcome: &Outcome, first: &Outcome) -> Vec<String> {
         of(&|f| Some(f.sigma), 5, ""),
         of(&|f| Some(50.0 * (f.interval?[1] - f.interval?[0])), 3, " %"),
         of(&|f| Some(100.0 * (f.sigma / first?.sigma - 1.0)), 4, " %"),
+        of(&|f| Some(f.fit_db), 1, " dB"),
         of(&|f| mebibytes(f.cost.peak_bytes), 0, " MiB"),
     ]
 }
@@ -357,6 +359,7 @@ mod tests {
                 hemisphere: Some(error),
             },
             lamps: [1, 1],
+            fit_db: 40.0,
             doubt: None,
             cost: Cost {
                 stages: vec![Some(1.0); STAGES.len()],

@@ -19,7 +19,11 @@ pub(super) fn groups() -> Vec<Group> {
     plastic.interreflection = true;
     let mut small = paper.clone();
     small.views.size = [320, 240];
-    let others = |shortcut: &Shortcut| *shortcut != Shortcut::DarkCells;
+    let mut many = paper.clone();
+    many.views.count = 24;
+    many.sensor.noise = 0.01;
+    let own = [Shortcut::DarkCells, Shortcut::Views];
+    let others = |shortcut: &Shortcut| !own.contains(shortcut);
     let others: Vec<Shortcut> = Shortcut::ALL.into_iter().filter(others).collect();
     vec![
         group("figurine", &paper, &others, &[]),
@@ -30,6 +34,7 @@ pub(super) fn groups() -> Vec<Group> {
             &[Shortcut::DarkCells],
             &["--frequency", DENSE],
         ),
+        group("many_views", &many, &[Shortcut::Views], &[]),
     ]
 }
 

@@ -154,11 +154,14 @@ fn judge(capture: &Path, solution: &Path, summary: &Value) -> Result<Outcome, St
     let interval = solution
         .sigma_interval95
         .and_then(|[low, high]| Some([relative(low)?, relative(high)?]));
+    let fits = &solution.fit.psnr_db_per_view;
+    let fit_db = fits.iter().copied().map(f64::from).sum::<f64>() / fits.len().max(1) as f64;
     Ok(Outcome::Solved(Box::new(Found {
         sigma: brdf.sigma.into(),
         interval,
         errors,
         lamps: [lamps.len(), truth.lamps.len()],
+        fit_db,
         doubt: (!solution.diagnostics.well_posed).then_some(last),
         cost: cost(summary),
     })))

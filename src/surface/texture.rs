@@ -7,14 +7,17 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
+use smallvec::SmallVec;
 
-use super::atlas::Atlas;
+use super::atlas::{Atlas, Texel};
 use super::visible::{NO_TRIANGLE, ViewSurface};
 use crate::capture::{Mesh, Photograph, SurfacePoint, View};
 
 /// Views that see a point at a smaller cosine to its normal count only where there is no better one: the image smears the
 /// surface there, and eq. 4 amplifies what is wrong by 1/cos θᵣ.
 pub const GRAZING: f32 = 0.15;
+/// Cosine by which a view may be behind all corners of a triangle and before a point between them.
+const BARELY_BEHIND: f32 = 0.3;
 /// Coverage from which a pixel shows nothing but the object.
 pub const FULL_COVERAGE: f32 = 0.999;
 
@@ -56,10 +59,11 @@ pub fn observe(
     point: &SurfacePoint,
 ) -> Option<Observation> {
     let to_camera = view.camera.position().as_vec3() - point.position;
-    let cosine = point.normal.dot(to_camera.normalize_or_zero());
-    if cosine <= 0.0 {
+    let height = point.normal.dot(to_camera);
+    if height <= 0.0 {
         return None;
     }
+    let cosine = height / to_camera.length();
     let at = surface.sees(&view.camera, point.position)?;
     let photograph = &view.photograph;
     // `sees` has made sure that all four pixels exist.
@@ -156,12 +160,22 @@ pub fn minimum_texture(
     views: &[View],
     surfaces: &[ViewSurface],
 ) -> MinimumTexture {
-    let texels: Vec<(Vec3, f32)> = atlas
+    let triangles: Vec<&[Texel]> = atlas
         .texels
-        .par_iter()
-        .map(|texel| {
-            let point = mesh.point(texel.triangle, texel.barycentric);
-            least(observations(views, surfaces, &point))
+        .chunk_by(|a, b| a.triangle == b.triangle)
+        .collect();
+    let texels: Vec<(Vec3, f32)> = triangles
+        .into_par_iter()
+        .flat_map_iter(|texels| {
+            let facing = facing(mesh, texels[0].triangle, views);
+            texels.iter().map(move |texel| {
+                let point = mesh.point(texel.triangle, texel.barycentric);
+                let of_view = |&v: &u32| {
+                    let i = v as usize;
+                    observe(v, &views[i], &surfaces[i], &point)
+                };
+                least(facing.iter().filter_map(of_view))
+            })
         })
         .collect();
     let mut texture = MinimumTexture {
@@ -173,6 +187,23 @@ pub fn minimum_texture(
         texture.confidence[texel.index as usize] = confidence;
     }
     texture
+}
+
+/// The views that are in front of a triangle, as its shading normals tell: in front of one of its corners, or nearly.
+fn facing(mesh: &Mesh, triangle: u32, views: &[View]) -> SmallVec<[u32; 32]> {
+    let corners = mesh.triangles[triangle as usize].map(|v| v as usize);
+    let before = |view: &View| {
+        let eye = view.camera.position().as_vec3();
+        corners.iter().any(|&v| {
+            let to_camera = eye - mesh.positions[v];
+            mesh.normals[v].dot(to_camera) > -BARELY_BEHIND * to_camera.length()
+        })
+    };
+    let views = (0..).zip(views);
+    views
+        .filter(|(_, view)| before(view))
+        .map(|(i, _)| i)
+        .collect()
 }
 
 /// The colour of least magnitude and Σ cos θᵣ. Grazing views are heard only where there is no other.
