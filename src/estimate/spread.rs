@@ -3,7 +3,8 @@
 //! Non-negative least squares puts a wide light on spikes a lobe's width apart, which a person would take for so many
 //! lamps. Where lit nodes lie in a group that is wider than what one lobe can hide, the light of the group is sought once
 //! more on all cells in and between them, with a ridge: of all lights that leave nearly the same residuals, that of the
-//! least Σ L² is the evenest. Lamps that really lie apart can't be filled up without leaving more, and stay as they are.
+//! least Σ L² is the evenest. Lamps that really lie apart can't be filled up without leaving more, and stay as they are; what
+//! two narrow lamps explain better than an even light are two lamps.
 
 use std::collections::BTreeSet;
 
@@ -38,6 +39,10 @@ const FILLED: f32 = 0.6;
 /// Of the noise's variance, how much the squared residuals may rise for every unknown that the spikes had: by up to 90 where
 /// lights are wide, by more than 160 where narrow lamps far apart are taken for a wide one.
 const MOST_RISE: f64 = 120.0;
+/// Cells of a narrow lamp in place of a wide light lie no further from its middle than this part of a width.
+const NARROW: f32 = 0.35;
+/// Rounds in which spikes are shared out between two lamps.
+const PAIR_ROUNDS: usize = 10;
 
 /// Evens out every wide light for which that explains the photographs as well.
 pub fn even_out<'s>(
@@ -90,7 +95,46 @@ fn evened<'s>(
     let variance = state.squares() / (3.0 * state.weights.len() as f64);
     let unknowns = state.restricted(|c| replaced.contains(c)).lit_unknowns();
     let most = MOST_RISE * variance * unknowns;
-    (even.squares() - state.squares() <= most).then_some((even, region))
+    if even.squares() - state.squares() > most {
+        return None;
+    }
+    if wide.len() == 1 {
+        let pair = pair(solver, state, &replaced)?;
+        let narrow = solved_instead(solver, state, observations, &replaced, &pair);
+        if narrow.squares() < even.squares() {
+            return Some((narrow, BTreeSet::new()));
+        }
+    }
+    Some((even, region))
+}
+
+/// Cells of two narrow lamps in the place of spikes: about the middles of those nearer to the one and to the other.
+fn pair(solver: &Solver<'_>, state: &State<'_>, spikes: &BTreeSet<Cell>) -> Option<BTreeSet<Cell>> {
+    let lit = state.lit();
+    let spikes: Vec<(Vec3, f32)> = lit
+        .into_iter()
+        .filter(|&k| spikes.contains(&state.cells[k]))
+        .map(|k| (state.design.geometry.directions[k], state.cell_flux(k)))
+        .collect();
+    let middle = |own: &dyn Fn(Vec3) -> bool| {
+        let own = spikes.iter().filter(|spike| own(spike.0));
+        own.map(|&(direction, flux)| flux * direction)
+            .sum::<Vec3>()
+            .normalize_or_zero()
+    };
+    let centre = middle(&|_| true);
+    let away = |direction: Vec3| direction.distance_squared(centre);
+    let (outermost, _) = (spikes.iter().copied())
+        .max_by(|a, b| (a.1 * away(a.0)).total_cmp(&(b.1 * away(b.0))))?;
+    let mut ends = [outermost, 2.0 * centre - outermost];
+    for _ in 0..PAIR_ROUNDS {
+        let [first, second] = ends;
+        let nearer = |d: Vec3| d.distance_squared(first) < d.distance_squared(second);
+        ends = [middle(&nearer), middle(&|d| !nearer(d))];
+    }
+    let (level, reach) = (solver.pyramid.finest(), NARROW * width(state));
+    let cells = ends.map(|end| solver.pyramid.within(level, end, reach));
+    Some(cells.into_iter().flatten().collect())
 }
 
 /// Whether a light of the evened fit is wider than a lobe, no wider than the spikes in its place, and full of these.
@@ -157,15 +201,40 @@ fn solved_evenly<'s>(
     replaced: &BTreeSet<Cell>,
     even: &BTreeSet<Cell>,
 ) -> State<'s> {
-    let lit = state.lit().into_iter().map(|k| state.cells[k]);
-    let mut cells: BTreeSet<Cell> = lit.filter(|c| !replaced.contains(c)).collect();
-    cells.extend(even);
-    let cells: Vec<Cell> = cells.into_iter().collect();
-    let design = solver.shadowed_design(observations, &cells, &state.brdf);
-    let mut solved = State::new(design, cells, state.brdf);
-    solved.weights.clone_from(&state.weights);
+    let mut solved = instead(solver, state, observations, replaced, even);
     solved.solve_lights_evenly(|c| even.contains(c), RIDGE, EXACT);
     solved
+}
+
+/// The fit with some cells in place of the `replaced` ones.
+fn solved_instead<'s>(
+    solver: &'s Solver<'_>,
+    state: &State<'s>,
+    observations: &'s Observations,
+    replaced: &BTreeSet<Cell>,
+    cells: &BTreeSet<Cell>,
+) -> State<'s> {
+    let mut solved = instead(solver, state, observations, replaced, cells);
+    solved.solve_lights(EXACT);
+    solved
+}
+
+/// A state to be solved with some cells in place of the `replaced` ones.
+fn instead<'s>(
+    solver: &'s Solver<'_>,
+    state: &State<'s>,
+    observations: &'s Observations,
+    replaced: &BTreeSet<Cell>,
+    cells: &BTreeSet<Cell>,
+) -> State<'s> {
+    let lit = state.lit().into_iter().map(|k| state.cells[k]);
+    let kept = lit.filter(|c| !replaced.contains(c));
+    let all: BTreeSet<Cell> = kept.chain(cells.iter().copied()).collect();
+    let all: Vec<Cell> = all.into_iter().collect();
+    let design = solver.shadowed_design(observations, &all, &state.brdf);
+    let mut changed = State::new(design, all, state.brdf);
+    changed.weights.clone_from(&state.weights);
+    changed
 }
 
 /// Groups of lit cells that may be one light each, wider than what one lobe hides.
