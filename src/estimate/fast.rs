@@ -23,7 +23,7 @@ use super::observer::{Interim, Iteration, Observer, Stopped, go_on};
 use super::shortcuts::{Shortcut, Shortcuts};
 use super::spread::even_out;
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
-use super::support::{drop_satellites, drop_unsupported};
+use super::support::{drop_satellites, drop_unsupported, drop_unsupported_in_the_end};
 use super::visibility::{SeenCells, cell_visibility};
 use super::workspace::Workspace;
 use crate::hemisphere::HemisphereGrid;
@@ -297,6 +297,7 @@ impl Solver<'_> {
         };
         let error = state.settle_sigma(&step, EXACT);
         drop_satellites(&mut state);
+        drop_unsupported_in_the_end(&mut state);
         let state = even_out(self, state, &all);
         self.report(&state, watch)?;
         Ok(self.fit(&state, error))

@@ -124,8 +124,8 @@ fn pair(solver: &Solver<'_>, state: &State<'_>, spikes: &BTreeSet<Cell>) -> Opti
     };
     let centre = middle(&|_| true);
     let away = |direction: Vec3| direction.distance_squared(centre);
-    let (outermost, _) = (spikes.iter().copied())
-        .max_by(|a, b| (a.1 * away(a.0)).total_cmp(&(b.1 * away(b.0))))?;
+    let (outermost, _) =
+        (spikes.iter().copied()).max_by(|a, b| (a.1 * away(a.0)).total_cmp(&(b.1 * away(b.0))))?;
     let mut ends = [outermost, 2.0 * centre - outermost];
     for _ in 0..PAIR_ROUNDS {
         let [first, second] = ends;

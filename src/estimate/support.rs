@@ -10,8 +10,10 @@ use std::collections::BTreeSet;
 use super::state::{EXACT, Precision, State};
 use crate::math::groups::linked_groups;
 
-/// Lights of less than this share of the flux are looked at; brighter ones explain too much to be noise.
-const MOST_SHARE: f32 = 0.01;
+/// Lights of less than this share of the flux are dim.
+const DIM: f32 = 0.01;
+/// Brighter ones up to this share are looked at in the end: from behind, a little noise at grazing views asks for much light.
+const BRIGHT: f32 = 0.2;
 
 /// A light is a satellite of one that is this many times as bright, if it lies no further from it than this many σ. Cells
 /// nearer to each other than the width, in σ, are one light here.
@@ -22,23 +24,56 @@ const SATELLITE_WIDTH: f32 = 0.7;
 /// Sum over surface points of what a light takes off the squared residuals, in units of its scatter, below which it is
 /// taken for noise. On captures with truth lights of noise come to 3 at most, lamps to 9 and more.
 const LEAST_SUPPORT: f64 = 5.0;
+/// The same for lights that are not dim: noise from behind comes to 1.4 at most, parts of lamps to 4.7 and more.
+const LEAST_SUPPORT_OF_BRIGHT: f64 = 2.5;
 
 /// What was dropped can come up again beside its place; this many times it is looked for.
 const MOST_ROUNDS: usize = 3;
 
-/// Drops the lights that the data do not ask for and solves for the others; whether there were any.
+/// Drops the dim lights that the data do not ask for and solves for the others; whether there were any.
 pub fn drop_unsupported(state: &mut State<'_>, precision: Precision) -> bool {
+    let dropped = unsupported(state, &[(DIM, LEAST_SUPPORT)]);
+    drop_cells(state, &dropped, precision)
+}
+
+/// [`drop_unsupported`] of a fit that is final but for these: also of lights that are not dim, with the dark cells a lobe's
+/// width about them, where they would come up again.
+pub fn drop_unsupported_in_the_end(state: &mut State<'_>) {
+    let bounds = [(DIM, LEAST_SUPPORT), (BRIGHT, LEAST_SUPPORT_OF_BRIGHT)];
+    for _ in 0..MOST_ROUNDS {
+        let mut dropped = unsupported(state, &bounds);
+        if dropped.is_empty() {
+            return;
+        }
+        let directions = &state.design.geometry.directions;
+        let reach = 2.0 * state.brdf.sigma;
+        let is_near = |k: &usize| {
+            let away = |&d: &usize| directions[d].distance_squared(directions[*k]);
+            dropped.iter().any(|d| away(d) < reach * reach)
+        };
+        let lit: BTreeSet<usize> = state.lit().into_iter().collect();
+        let dark = (0..state.cells.len()).filter(|k| !lit.contains(k));
+        let around: Vec<usize> = dark.filter(is_near).collect();
+        dropped.extend(around);
+        drop_cells(state, &dropped, EXACT);
+    }
+}
+
+/// Cells of the lights of less than a share of the flux whose support is less than the bound of the first such share.
+fn unsupported(state: &State<'_>, bounds: &[(f32, f64)]) -> Vec<usize> {
     let total = state.flux(&state.lit());
     let mut dropped = Vec::new();
     for patch in patches(state, state.brdf.sigma) {
-        if state.flux(&patch) < MOST_SHARE * total {
-            let own = contribution(state, &state.radiance, &darkened(&state.radiance, &patch));
-            if support(state, &own, &state.residuals.values) < LEAST_SUPPORT {
-                dropped.extend(patch);
-            }
+        let share = state.flux(&patch) / total;
+        let Some((_, least)) = bounds.iter().find(|(most, _)| share < *most) else {
+            continue;
+        };
+        let own = contribution(state, &state.radiance, &darkened(&state.radiance, &patch));
+        if support(state, &own, &state.residuals.values) < *least {
+            dropped.extend(patch);
         }
     }
-    drop_cells(state, &dropped, precision)
+    dropped
 }
 
 /// Drops the satellites of bright lamps that these explain nearly as well in their place.
