@@ -70,7 +70,7 @@ enum ShortcutArg {
     ShadowRays,
     /// Try all roughnesses, for both specular models
     Roughnesses,
-    /// Make the texture from all views, also where eight others see the surface better
+    /// Make the texture from all views, also where six others see a part of the surface better
     Views,
     /// Solve again what has not changed since the solution that is there was written
     Unchanged,

@@ -1,6 +1,6 @@
 //! From which views a part of the surface is reconstructed, where many see it.
 //!
-//! Eight views tell a texel's colour; of those beyond, each adds a little certainty and costs as much as the first. At every
+//! Six views tell a texel's colour; of those beyond, each adds a little certainty and costs as much as the first. At every
 //! vertex the views are ranked by what their pixels would weigh there: how many pixels there are to an area, at which
 //! cosine they see it, and how strong a highlight has to be subtracted from them.
 
@@ -47,8 +47,13 @@ impl<'a> BestViews<'a> {
         }
         let mesh = scene.mesh;
         let words = views.len().div_ceil(64);
-        let whole = vec![Visibility::Whole; shader.groups()];
-        let shining = shader.groups() <= MOST_GROUPS;
+        let judge = Judge {
+            views,
+            surfaces,
+            shader,
+            typical,
+            whole: vec![Visibility::Whole; shader.groups()],
+        };
         let best = (0..mesh.positions.len())
             .into_par_iter()
             .flat_map_iter(|v| {
@@ -56,39 +61,7 @@ impl<'a> BestViews<'a> {
                     position: mesh.positions[v],
                     normal: mesh.normals[v],
                 };
-                let mut ranked: Vec<(f32, usize)> = views
-                    .iter()
-                    .zip(surfaces)
-                    .enumerate()
-                    .filter_map(|(i, (view, surface))| {
-                        let seen = observe(i as u32, view, surface, &point)?;
-                        let to_eye = view.camera.position().as_vec3() - point.position;
-                        let resolution = view.camera.focal.max_element() as f32 / to_eye.length();
-                        let highlight = if shining {
-                            let point = ShadingPoint {
-                                position: point.position,
-                                normal: point.normal,
-                                face_normal: point.normal,
-                            };
-                            let specular =
-                                shader.specular(&point, to_eye.normalize_or_zero(), &whole);
-                            certainty(specular, typical)
-                        } else {
-                            1.0
-                        };
-                        Some((seen.cosine * resolution * resolution * highlight, i))
-                    })
-                    .collect();
-                let mut bits = vec![0_u64; words];
-                if ranked.len() < ENOUGH {
-                    bits.fill(u64::MAX);
-                } else {
-                    ranked.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-                    for &(_, view) in &ranked[..ENOUGH] {
-                        bits[view / 64] |= 1 << (view % 64);
-                    }
-                }
-                bits
+                judge.best(&point, words)
             });
         Some(Self {
             triangles: &mesh.triangles,
@@ -106,5 +79,59 @@ impl<'a> BestViews<'a> {
                 let word = self.best[vertex as usize * self.words + view / 64];
                 word >> (view % 64) & 1 == 1
             })
+    }
+}
+
+/// What views are ranked by.
+struct Judge<'a> {
+    views: &'a [View],
+    /// What each of them sees.
+    surfaces: &'a [ViewSurface],
+    /// The lighting under which they were taken.
+    shader: &'a Shader<'a>,
+    /// A typical diffuse radiance.
+    typical: f32,
+    /// Nothing is hidden: one for each group of the light.
+    whole: Vec<Visibility>,
+}
+
+impl Judge<'_> {
+    /// The best views of a point as bits in so many words; all of them where there are not enough.
+    fn best(&self, point: &SurfacePoint, words: usize) -> Vec<u64> {
+        if self.shader.is_stopped() {
+            return vec![0; words];
+        }
+        let mut ranked: Vec<(f32, usize)> = (0..self.views.len())
+            .filter_map(|view| Some((self.worth(point, view)?, view)))
+            .collect();
+        if ranked.len() < ENOUGH {
+            return vec![u64::MAX; words];
+        }
+        ranked.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let mut bits = vec![0; words];
+        for &(_, view) in &ranked[..ENOUGH] {
+            bits[view / 64] |= 1 << (view % 64);
+        }
+        bits
+    }
+
+    /// What a view's pixels would weigh at a point, up to one factor for all; `None` where it does not show it.
+    fn worth(&self, point: &SurfacePoint, index: usize) -> Option<f32> {
+        let view = &self.views[index];
+        let seen = observe(index as u32, view, &self.surfaces[index], point)?;
+        let to_eye = view.camera.position().as_vec3() - point.position;
+        let resolution = view.camera.focal.max_element() as f32 / to_eye.length();
+        let worth = seen.cosine * resolution * resolution;
+        if self.whole.len() > MOST_GROUPS {
+            return Some(worth);
+        }
+        let point = ShadingPoint {
+            position: point.position,
+            normal: point.normal,
+            face_normal: point.normal,
+        };
+        let direction = to_eye.normalize_or_zero();
+        let specular = self.shader.specular(&point, direction, &self.whole);
+        Some(worth * certainty(specular, self.typical))
     }
 }

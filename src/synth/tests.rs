@@ -461,6 +461,23 @@ fn lamps_found(count: u32, apart: f32, radius: f32) -> Vec<f32> {
 }
 
 #[test]
+fn noise_at_grazing_views_is_no_lamp_behind() {
+    let folder = made(|recipe| {
+        recipe.object = Object::Figurine;
+        recipe.triangles = 30_000;
+        recipe.sensor.noise = 0.02;
+        recipe.views.count = 6;
+        recipe.views.size = [240, 180];
+        let lamps = lamps(recipe);
+        lamps.places = Places::Row(2, 13.0_f32.to_radians());
+        lamps.contrast = 1.9;
+    });
+    let lamps = solved(&folder).lamps;
+    let behind = lamps.iter().filter(|lamp| lamp.direction.z < 0.0);
+    assert_eq!((lamps.len(), behind.count()), (2, 0));
+}
+
+#[test]
 fn a_lamp_much_wider_than_the_lobe_is_one_lamp_of_its_width() {
     let radii = lamps_found(1, 0.0, 25.0);
     assert_eq!(radii.len(), 1, "{radii:?}");
