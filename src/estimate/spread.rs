@@ -72,7 +72,9 @@ fn evened<'s>(
     let mut region = around(solver, state, group)?;
     let solved = |replaced: &BTreeSet<Cell>, region: &BTreeSet<Cell>| {
         let even: BTreeSet<Cell> = region.union(before).copied().collect();
-        solved_evenly(solver, state, observations, replaced, &even)
+        let mut solved = instead(solver, state, observations, replaced, &even);
+        solved.solve_lights_evenly(|c| even.contains(c), RIDGE, EXACT);
+        solved
     };
     let mut even = solved(group, &region);
     let lights = find_lamps(solver.grid, &nodes(solver, &even, &region));
@@ -100,7 +102,8 @@ fn evened<'s>(
     }
     if wide.len() == 1 {
         let pair = pair(solver, state, &replaced)?;
-        let narrow = solved_instead(solver, state, observations, &replaced, &pair);
+        let mut narrow = instead(solver, state, observations, &replaced, &pair);
+        narrow.solve_lights(EXACT);
         if narrow.squares() < even.squares() {
             return Some((narrow, BTreeSet::new()));
         }
@@ -132,7 +135,7 @@ fn pair(solver: &Solver<'_>, state: &State<'_>, spikes: &BTreeSet<Cell>) -> Opti
         let nearer = |d: Vec3| d.distance_squared(first) < d.distance_squared(second);
         ends = [middle(&nearer), middle(&|d| !nearer(d))];
     }
-    let (level, reach) = (solver.pyramid.finest(), NARROW * width(state));
+    let (level, reach) = (solver.pyramid.finest(), NARROW * state.lobe_width());
     let cells = ends.map(|end| solver.pyramid.within(level, end, reach));
     Some(cells.into_iter().flatten().collect())
 }
@@ -141,9 +144,9 @@ fn pair(solver: &Solver<'_>, state: &State<'_>, spikes: &BTreeSet<Cell>) -> Opti
 fn is_wide(solver: &Solver<'_>, state: &State<'_>, light: &Lamp, spikes: &[[f32; 3]]) -> bool {
     let own = light.nodes.iter().copied();
     let lit: Vec<u32> = own.filter(|&n| spikes[n as usize] != [0.0; 3]).collect();
-    let apart = apart(solver, &lit, width(state));
+    let apart = apart(solver, &lit, state.lobe_width());
     let spiky = Lamp::new(solver.grid, spikes, lit).map_or(0.0, |l| l.angular_radius);
-    let widths = spiky / width(state);
+    let widths = spiky / state.lobe_width();
     let change = (light.angular_radius - spiky).abs();
     widths > WIDE && change < SAME_RADIUS * spiky && apart as f32 > FILLED * widths * widths
 }
@@ -161,11 +164,6 @@ fn apart(solver: &Solver<'_>, nodes: &[u32], distance: f32) -> usize {
         }
     }
     taken.len()
-}
-
-/// Standard deviation of the lobe in the light's direction, radians: the half vector turns by half the light's angle.
-fn width(state: &State<'_>) -> f32 {
-    2.0 * state.brdf.sigma
 }
 
 /// Radiance on the nodes by some of the cells.
@@ -186,37 +184,11 @@ fn around(
     group: &BTreeSet<Cell>,
 ) -> Option<BTreeSet<Cell>> {
     let level = solver.pyramid.finest().checked_sub(1)?;
-    let reach = REACH * width(state);
+    let reach = REACH * state.lobe_width();
     let cells: Vec<Cell> = group.iter().copied().collect();
     let directions = solver.pyramid.geometry(&cells).directions;
     let within = |&d: &Vec3| solver.pyramid.within(level, d, reach);
     Some(directions.iter().flat_map(within).collect())
-}
-
-/// The fit with the ridge on the cells of `even`, which take the place of the `replaced` ones.
-fn solved_evenly<'s>(
-    solver: &'s Solver<'_>,
-    state: &State<'s>,
-    observations: &'s Observations,
-    replaced: &BTreeSet<Cell>,
-    even: &BTreeSet<Cell>,
-) -> State<'s> {
-    let mut solved = instead(solver, state, observations, replaced, even);
-    solved.solve_lights_evenly(|c| even.contains(c), RIDGE, EXACT);
-    solved
-}
-
-/// The fit with some cells in place of the `replaced` ones.
-fn solved_instead<'s>(
-    solver: &'s Solver<'_>,
-    state: &State<'s>,
-    observations: &'s Observations,
-    replaced: &BTreeSet<Cell>,
-    cells: &BTreeSet<Cell>,
-) -> State<'s> {
-    let mut solved = instead(solver, state, observations, replaced, cells);
-    solved.solve_lights(EXACT);
-    solved
 }
 
 /// A state to be solved with some cells in place of the `replaced` ones.
@@ -239,7 +211,7 @@ fn instead<'s>(
 
 /// Groups of lit cells that may be one light each, wider than what one lobe hides.
 fn wide_groups(state: &State<'_>) -> Vec<BTreeSet<Cell>> {
-    let width = width(state);
+    let width = state.lobe_width();
     let patches: Vec<Patch> = patches(state, width)
         .into_iter()
         .map(|cells| Patch::new(state, cells))

@@ -336,6 +336,11 @@ impl<'a> State<'a> {
         }
     }
 
+    /// Standard deviation of the lobe in the light's direction, radians: the half vector turns by half the light's angle.
+    pub fn lobe_width(&self) -> f32 {
+        2.0 * self.brdf.sigma
+    }
+
     /// Σ over channels of a cell's radiance times its solid angle.
     pub fn cell_flux(&self, cell: usize) -> f32 {
         self.design.geometry.solid_angles[cell] * self.radiance[cell].iter().sum::<f32>()

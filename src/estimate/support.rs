@@ -45,15 +45,12 @@ pub fn drop_unsupported_in_the_end(state: &mut State<'_>) {
         if dropped.is_empty() {
             return;
         }
-        let directions = &state.design.geometry.directions;
-        let reach = 2.0 * state.brdf.sigma;
-        let is_near = |k: &usize| {
-            let away = |&d: &usize| directions[d].distance_squared(directions[*k]);
-            dropped.iter().any(|d| away(d) < reach * reach)
-        };
+        let reach = state.lobe_width();
         let lit: BTreeSet<usize> = state.lit().into_iter().collect();
         let dark = (0..state.cells.len()).filter(|k| !lit.contains(k));
-        let around: Vec<usize> = dark.filter(is_near).collect();
+        let around: Vec<usize> = dark
+            .filter(|&k| is_near(state, &[k], &dropped, reach))
+            .collect();
         dropped.extend(around);
         drop_cells(state, &dropped, EXACT);
     }
@@ -89,6 +86,7 @@ pub fn drop_satellites(state: &mut State<'_>) {
 /// Cells of the satellites that the data do not ask for, looked at in turn, the dimmest first.
 fn needless_satellites(state: &State<'_>) -> Vec<usize> {
     let width = SATELLITE_WIDTH * state.brdf.sigma;
+    let reach = SATELLITE_REACH * state.brdf.sigma;
     let mut lamps: Vec<(f32, Vec<usize>)> = patches(state, width)
         .into_iter()
         .map(|cells| (state.flux(&cells), cells))
@@ -99,7 +97,7 @@ fn needless_satellites(state: &State<'_>) -> Vec<usize> {
     let mut residuals = state.residuals.values.clone();
     for (k, (flux, lamp)) in lamps.iter().enumerate() {
         let mut brighter = lamps[k..].iter().filter(|b| b.0 > MUCH_BRIGHTER * flux);
-        if !brighter.any(|b| is_near(state, lamp, &b.1)) {
+        if !brighter.any(|b| is_near(state, lamp, &b.1, reach)) {
             continue;
         }
         let without = state.refit(&darkened(&radiance, lamp), EXACT);
@@ -138,10 +136,9 @@ fn darkened(radiance: &[[f32; 3]], cells: &[usize]) -> Vec<[f32; 3]> {
     darkened
 }
 
-/// Whether one light reaches near another.
-fn is_near(state: &State<'_>, one: &[usize], other: &[usize]) -> bool {
+/// Whether some cell lies nearer than `reach`, radians, to one of others.
+fn is_near(state: &State<'_>, one: &[usize], other: &[usize], reach: f32) -> bool {
     let directions = &state.design.geometry.directions;
-    let reach = SATELLITE_REACH * state.brdf.sigma;
     let mut pairs = one.iter().flat_map(|&a| other.iter().map(move |&b| (a, b)));
     pairs.any(|(a, b)| directions[a].distance_squared(directions[b]) < reach * reach)
 }

@@ -98,17 +98,17 @@ struct Tap {
     down: u16,
 }
 
-/// Estimates the texture. `light` is the lighting under which the views were taken and what triangles see of it, `surfaces` what
-/// each view sees.
+/// Estimates the texture. `shader` holds the lighting under which the views were taken, `seen` is what triangles see of it,
+/// `surfaces` what each view sees.
 pub fn reconstruct(
     scene: &Scene,
     views: &[View],
     surfaces: Vec<ViewSurface>,
     atlas: &Atlas,
-    light: (&Shader, &TriangleShares),
+    shader: &Shader,
+    seen: &TriangleShares,
     shortcuts: &Shortcuts,
 ) -> DiffuseTexture {
-    let (shader, seen) = light;
     let factor = sampling_factor(views);
     let typical = typical_radiance(views);
     let best = shortcuts
@@ -331,14 +331,7 @@ impl Tracer<'_> {
         triangles: Option<&[u32]>,
         serves: &(dyn Fn(u32) -> bool + Sync),
     ) -> Footprints {
-        let Self {
-            scene,
-            atlas,
-            shader,
-            seen,
-            factor,
-            typical,
-        } = *self;
+        let (scene, atlas, factor) = (self.scene, self.atlas, self.factor);
         let (camera, photograph) = (&view.camera, &view.photograph);
         let size = [atlas.width as usize, atlas.height as usize];
         let eye = camera.position().as_vec3();
@@ -380,7 +373,7 @@ impl Tracer<'_> {
                             .is_none_or(|c| c[pixel] > 0.999);
                     let trust = if whole { 1.0 } else { MIXED_WEIGHT };
                     let certainty = if serves(middle.triangle) {
-                        certainty(specular, typical)
+                        certainty(specular, self.typical)
                     } else {
                         0.0
                     };
@@ -399,7 +392,14 @@ impl Tracer<'_> {
                 }
                 part
             };
-            all.append(specular_tiles(scene, camera, shader, seen, &samples, tile));
+            all.append(specular_tiles(
+                scene,
+                camera,
+                self.shader,
+                self.seen,
+                &samples,
+                tile,
+            ));
         }
         all
     }

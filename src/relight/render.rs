@@ -348,9 +348,9 @@ impl Tile<'_> {
                 if is_cut {
                     let alike = |g: usize| wanted(index, g) && !edges[g];
                     // A pixel of one sample has no quarters: what was cast for it holds.
-                    let is_all =
+                    let cast =
                         |g: usize| matches!(seen[g], Visibility::Part(_)) && samples.len() == 1;
-                    let known = |g: usize| (alike(g) || is_all(g)).then(|| seen[g].clone());
+                    let known = |g: usize| (alike(g) || cast(g)).then(|| seen[g].clone());
                     for quarter in self.quarters(first, samples) {
                         add(self.shade_with(&quarter.point, known), &quarter);
                     }

@@ -237,8 +237,7 @@ fn textures(
         };
         let shader = Shader::new(occluder, brdf, light).stopped_by(stop);
         let seen = TriangleShares::new(mesh, atlas, &shader);
-        let light = (&shader, &seen);
-        let mut texture = reconstruct(&scene, views, surfaces, atlas, light, shortcuts);
+        let mut texture = reconstruct(&scene, views, surfaces, atlas, &shader, &seen, shortcuts);
         clock.lap("texture");
         report(&mut observer, ALBEDO)?;
         let albedo = separate(&scene, atlas, &shader, &seen, &mut texture);

@@ -9,7 +9,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use smallvec::SmallVec;
 
-use super::atlas::{Atlas, Texel};
+use super::atlas::Atlas;
 use super::visible::{NO_TRIANGLE, ViewSurface};
 use crate::capture::{Mesh, Photograph, SurfacePoint, View};
 
@@ -160,12 +160,9 @@ pub fn minimum_texture(
     views: &[View],
     surfaces: &[ViewSurface],
 ) -> MinimumTexture {
-    let triangles: Vec<&[Texel]> = atlas
+    let texels: Vec<(Vec3, f32)> = atlas
         .texels
-        .chunk_by(|a, b| a.triangle == b.triangle)
-        .collect();
-    let texels: Vec<(Vec3, f32)> = triangles
-        .into_par_iter()
+        .par_chunk_by(|a, b| a.triangle == b.triangle)
         .flat_map_iter(|texels| {
             let facing = facing(mesh, texels[0].triangle, views);
             texels.iter().map(move |texel| {
