@@ -51,8 +51,9 @@ pub fn solve(gram: MatRef<'_, f64>, rhs: &[f64], x: &mut [f64], params: &NnlsPar
     let mut left = params.max_exchanges;
     // A variable that leaves as soon as it enters was let in by rounding, not by descent.
     let mut rejected = vec![false; n];
+    let mut target = solve_passive(gram, rhs, &passive);
     loop {
-        descend(gram, rhs, x, &mut passive, &mut left, params);
+        descend(gram, rhs, x, &mut passive, target, &mut left, params);
         let gradient = gradient(gram, rhs, &passive, x);
         let mut entering: Vec<usize> = (0..n)
             .filter(|&i| x[i] <= 0.0 && !rejected[i] && gradient[i] < -threshold)
@@ -65,18 +66,19 @@ pub fn solve(gram: MatRef<'_, f64>, rhs: &[f64], x: &mut [f64], params: &NnlsPar
         entering.retain(|&i| gradient[i] < 0.1 * steepest);
         entering.truncate(1 + passive.len() / 2);
         left -= 1;
-        enter(gram, rhs, &mut passive, entering, &mut rejected);
+        target = enter(gram, rhs, &mut passive, entering, &mut rejected);
     }
 }
 
-/// Makes those of `entering` passive that come out positive; where none does, the steepest is rejected.
+/// Makes those of `entering` passive that come out positive; where none does, the steepest is rejected. Returns the solution of
+/// the passive unknowns' equations.
 fn enter(
     gram: MatRef<'_, f64>,
     rhs: &[f64],
     passive: &mut Vec<usize>,
     mut entering: Vec<usize>,
     rejected: &mut [bool],
-) {
+) -> Vec<f64> {
     let before = passive.len();
     let steepest = entering[0];
     while !entering.is_empty() {
@@ -90,7 +92,7 @@ fn enter(
             .map(|(&i, _)| i)
             .collect();
         if positive.len() == entering.len() {
-            return;
+            return solution;
         }
         // Alone, the steepest always comes out positive unless rounding is all there is to it.
         entering = if positive.is_empty() && entering.len() > 1 {
@@ -101,20 +103,21 @@ fn enter(
     }
     passive.truncate(before);
     rejected[steepest] = true;
+    solve_passive(gram, rhs, passive)
 }
 
 /// Moves to the minimum over the passive variables, dropping those that reach zero on the way; many at once where that lowers
-/// the objective, else one by one.
+/// the objective, else one by one. `target` is the solution of their equations.
 fn descend(
     gram: MatRef<'_, f64>,
     rhs: &[f64],
     x: &mut [f64],
     passive: &mut Vec<usize>,
+    mut target: Vec<f64>,
     left: &mut usize,
     params: &NnlsParams<'_>,
 ) {
     loop {
-        let target = solve_passive(gram, rhs, passive);
         let leaves_bounds = target.iter().any(|&t| t <= 0.0);
         if leaves_bounds && leap(gram, rhs, x, passive, &target) {
             return;
@@ -144,6 +147,7 @@ fn descend(
                 *v = 0.0;
             }
         }
+        target = solve_passive(gram, rhs, passive);
     }
 }
 
