@@ -85,6 +85,11 @@ struct System {
     /// The cells, ascending.
     columns: Vec<usize>,
     equations: NormalEquations,
+    /// See [`Precision::ridge`].
+    ridge: f64,
+    /// Model, roughness and weights that they are of.
+    brdf: Brdf,
+    weights: Vec<f32>,
 }
 
 /// A Gauss-Newton step of σ.
@@ -139,9 +144,15 @@ impl<'a> State<'a> {
             design: self.design.restricted(kept),
             cells: kept.iter().map(|&k| self.cells[k]).collect(),
             radiance: kept.iter().map(|&k| self.radiance[k]).collect(),
+            system: self.system.as_ref().map(|s| s.among(kept)),
             ..self.clone()
         };
         some.candidates = some.around(&some.lit());
+        if let Some(system) = some.system.as_ref().filter(|s| s.is_of(&some)) {
+            // The others were dark, and the equations of these are at hand.
+            some.candidates
+                .retain(|k| system.columns.binary_search(k).is_ok());
+        }
         some
     }
 
@@ -199,21 +210,37 @@ impl<'a> State<'a> {
         precision: Precision,
     ) {
         self.candidates = (0..self.cells.len()).collect();
-        let ridges: Vec<f64> = self
-            .cells
-            .iter()
-            .map(|c| if even(c) { ridge } else { 0.0 })
-            .collect();
-        self.solve_with_ridge(precision, |k| ridges[k]);
+        let system = self.take_system(precision);
+        let mut evened = system.equations.clone();
+        let mean = mean_diagonal(&evened.gram);
+        for (i, _) in self.cells.iter().enumerate().filter(|(_, c)| even(c)) {
+            evened.gram[(i, i)] += ridge * mean;
+        }
+        self.radiance = self.fitted(&evened, &self.candidates, &self.radiance, precision);
+        self.system = Some(system);
+        self.predict();
     }
 
     /// Minimises over the lights of the candidates; the other cells are dark.
     fn solve_candidates(&mut self, precision: Precision) {
-        self.solve_with_ridge(precision, |_| 0.0);
+        let system = self.take_system(precision);
+        let equations = &system.equations;
+        self.radiance = self.fitted(equations, &self.candidates, &self.radiance, precision);
+        self.system = Some(system);
+        self.predict();
     }
 
-    /// [`State::solve_candidates`] with a further ridge for each cell.
-    fn solve_with_ridge(&mut self, precision: Precision, further: impl Fn(usize) -> f64) {
+    /// The equations of the candidates: those of the last solve where nothing that they depend on has changed.
+    fn take_system(&mut self, precision: Precision) -> System {
+        let known = self.system.take();
+        known
+            .filter(|known| known.is_of(self) && known.ridge == precision.ridge)
+            .and_then(|known| known.only(&self.candidates))
+            .unwrap_or_else(|| self.equations(precision))
+    }
+
+    /// The equations of the candidates, with the ridge of `precision`.
+    fn equations(&self, precision: Precision) -> System {
         let restricted;
         let design = if self.candidates.len() == self.cells.len() {
             &self.design
@@ -222,23 +249,22 @@ impl<'a> State<'a> {
             &restricted
         };
         let mut equations = design.normal_equations(&self.brdf, &self.weights);
-        let n = self.candidates.len();
-        let all = self.cells.len();
+        let (n, all) = (self.candidates.len(), self.cells.len());
         let shortcuts = self.design.shortcuts;
         shortcuts.count(Shortcut::FarCells, all, all - n);
         let gram = &mut equations.gram;
-        let mean = (0..n).map(|i| gram[(i, i)]).sum::<f64>() / n.max(1) as f64;
+        let mean = mean_diagonal(gram);
         for i in 0..n {
             // A cell that no row sees must stay dark, not singular.
-            let ridge = precision.ridge + further(self.candidates[i]);
-            gram[(i, i)] += ridge * mean + f64::MIN_POSITIVE;
+            gram[(i, i)] += precision.ridge * mean + f64::MIN_POSITIVE;
         }
-        self.radiance = self.fitted(&equations, &self.candidates, &self.radiance, precision);
-        self.system = Some(System {
+        System {
             columns: self.candidates.clone(),
             equations,
-        });
-        self.predict();
+            ridge: precision.ridge,
+            brdf: self.brdf,
+            weights: self.weights.clone(),
+        }
     }
 
     /// Radiances that solve the last solve's equations where only the cells lit in `start` may be, which it starts from.
@@ -249,11 +275,7 @@ impl<'a> State<'a> {
         let (at, lit): (Vec<usize>, Vec<usize>) = (system.columns.iter().copied().enumerate())
             .filter(|&(_, k)| start[k] != [0.0; 3])
             .unzip();
-        let equations = NormalEquations {
-            gram: system.block(&at),
-            rhs: (system.equations.rhs.each_ref()).map(|rhs| at.iter().map(|&i| rhs[i]).collect()),
-        };
-        self.fitted(&equations, &lit, start, precision)
+        self.fitted(&system.some(&at), &lit, start, precision)
     }
 
     /// Radiance per cell that solves the equations of `cells`, started from `start`; other cells keep what that says.
@@ -303,16 +325,22 @@ impl<'a> State<'a> {
         for &k in &system.columns {
             is_candidate[k] = true;
         }
-        let fall = self
-            .design
-            .correlate(&self.brdf, &self.weights, &self.residuals.values);
+        let others: Vec<usize> = (0..self.cells.len())
+            .filter(|&k| !is_candidate[k])
+            .collect();
+        let fall = self.design.restricted(&others).correlate(
+            &self.brdf,
+            &self.weights,
+            &self.residuals.values,
+        );
         let least = system.equations.rhs.each_ref().map(|rhs| {
             let scale = rhs.iter().fold(0.0_f64, |m, b| m.max(b.abs()));
             precision.tolerance * scale
         });
-        (0..self.cells.len())
-            .filter(|&k| !is_candidate[k] && (0..3).any(|c| fall[c][k] > least[c]))
-            .collect()
+        let (_, missed): (Vec<usize>, Vec<usize>) = (others.into_iter().enumerate())
+            .filter(|&(i, _)| (0..3).any(|c| fall[c][i] > least[c]))
+            .unzip();
+        missed
     }
 
     /// Cells with light, ascending.
@@ -578,8 +606,58 @@ impl<'a> State<'a> {
     }
 }
 
+/// Mean of a matrix's diagonal.
+fn mean_diagonal(matrix: &Mat<f64>) -> f64 {
+    let n = matrix.ncols();
+    (0..n).map(|i| matrix[(i, i)]).sum::<f64>() / n.max(1) as f64
+}
+
 impl System {
+    /// Whether these are equations of a state's present roughness and weights.
+    fn is_of(&self, state: &State<'_>) -> bool {
+        self.brdf == state.brdf && self.weights == state.weights
+    }
+
+    /// The equations of those columns that are among some cells, which are counted anew.
+    fn among(&self, kept: &[usize]) -> Self {
+        let (at, columns): (Vec<usize>, Vec<usize>) = (kept.iter().enumerate())
+            .filter_map(|(new, old)| Some((self.columns.binary_search(old).ok()?, new)))
+            .unzip();
+        self.at(&at, columns)
+    }
+
+    /// The equations of some cells, which all must be among the columns.
+    fn only(self, cells: &[usize]) -> Option<Self> {
+        if self.columns == cells {
+            return Some(self);
+        }
+        let at: Option<Vec<usize>> = (cells.iter())
+            .map(|k| self.columns.binary_search(k).ok())
+            .collect();
+        Some(self.at(&at?, cells.to_vec()))
+    }
+
+    /// The equations of the columns at these places alone, which are called `columns`.
+    fn at(&self, at: &[usize], columns: Vec<usize>) -> Self {
+        Self {
+            columns,
+            equations: self.some(at),
+            ridge: self.ridge,
+            brdf: self.brdf,
+            weights: self.weights.clone(),
+        }
+    }
+
     /// The equations of the columns at these places alone.
+    fn some(&self, at: &[usize]) -> NormalEquations {
+        let rhs = (self.equations.rhs.each_ref()).map(|rhs| at.iter().map(|&i| rhs[i]).collect());
+        NormalEquations {
+            gram: self.block(at),
+            rhs,
+        }
+    }
+
+    /// The matrix of the columns at these places alone.
     fn block(&self, at: &[usize]) -> Mat<f64> {
         Mat::from_fn(at.len(), at.len(), |i, j| {
             self.equations.gram[(at[i], at[j])]
