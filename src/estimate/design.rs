@@ -8,12 +8,12 @@
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use faer::linalg::matmul::triangular::{BlockStructure, matmul};
-use faer::{Accum, Mat, MatMut, MatRef, Par};
+use faer::Mat;
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::cells::CellGeometry;
+use super::gram::{Columns, Lower};
 use super::lobes::{CellLobes, PointLobes};
 use super::model::Brdf;
 use super::observations::{Observations, Point};
@@ -25,14 +25,9 @@ use crate::math::vector;
 /// Points are always cut into this many runs, so that sums come out the same on any number of threads.
 const RUNS: usize = 8;
 
-/// Points that are multiplied into the Gram matrix together. Points are ordered by their normals, so that those of
-/// one block see the same few cells, and only these columns are multiplied.
-const BLOCK: usize = 48;
-
-/// A matrix entry below this share of the block's largest is taken as zero.
-const NEGLIGIBLE: f32 = 1e-5;
-/// Past this part of all columns, multiplying them all costs less than picking.
-const FEW_LEFT_OUT: f32 = 0.85;
+/// Rows that are multiplied into the Gram matrix together, or those of one point where they are more. Points are ordered by
+/// their normals, so that those of one block see the same few cells, and only these columns are multiplied.
+const BLOCK: usize = 192;
 
 /// Points, cells and what light of each cell reaches each point.
 #[derive(Clone, Debug)]
@@ -113,13 +108,13 @@ impl Design<'_> {
             .map(|j| {
                 let mut sums = vec![0.0; n + 3 - j];
                 for part in &parts {
-                    add(&mut sums, part.column(j));
+                    vector::add(&mut sums, part.column(j));
                 }
                 sums
             })
             .collect();
         for part in parts {
-            self.workspace.take_back(part.values);
+            self.workspace.take_back(part.into_values());
         }
         let mut gram = Mat::<f64>::zeros(n, n);
         let mut rhs = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
@@ -147,35 +142,39 @@ impl Design<'_> {
         last: usize,
     ) -> Lower {
         let width = self.cells() + 3;
-        let mut gram = Lower {
-            values: self.workspace.zeros(width * (width + 1) / 2),
-            n: width,
-            product: Vec::new(),
-        };
+        let mut gram = Lower::new(self.workspace.zeros(Lower::size(width)), width);
         let mut light = lobes.point();
-        let mut block: Vec<f32> = Vec::new();
-        for start in (first..last).step_by(BLOCK) {
+        let (mut block, mut compact): (Vec<f32>, Vec<f32>) = (Vec::new(), Vec::new());
+        for points in self.blocks(first, last) {
             if self.stop.load(Ordering::Relaxed) {
                 break;
             }
-            let points = start..(start + BLOCK).min(last);
-            block.clear();
+            let rows = self.observations.rows_of(&points);
+            block.resize(rows.len() * width, 0.0);
+            let mut rest = block.as_mut_slice();
             for index in points.clone() {
                 self.light(lobes, index, &mut light);
-                self.fill_point(lobes, index, &light, &mut block);
+                let of_point = self.observations.points[index].rows.len() * width;
+                let (own, others) = rest.split_at_mut(of_point);
+                self.fill_point(lobes, index, &light, own);
+                rest = others;
             }
-            let (columns, mut compact) = if self.shortcuts.takes(Shortcut::Lobes) {
-                compress(&block, width)
+            let columns = if self.shortcuts.takes(Shortcut::Lobes) {
+                Columns::of(&block, width)
             } else {
-                ((0..width).collect(), block.clone())
+                Columns::all(width)
             };
-            let m = columns.len();
+            let m = columns.count();
             let left_out = (width - m) * (block.len() / width);
             self.shortcuts.count(Shortcut::Lobes, block.len(), left_out);
-            let mut rest = compact.as_mut_slice();
+            compact.clear();
+            let mut rest = block.as_slice();
             for point in &self.observations.points[points] {
-                let (rows, others) = rest.split_at_mut(point.rows.len() * m);
-                self.eliminate(&lobes.brdf(), weights, point, rows);
+                let (own, others) = rest.split_at(point.rows.len() * width);
+                let first = compact.len();
+                columns.pick(own, &mut compact);
+                let kept = self.eliminate(&lobes.brdf(), weights, point, &mut compact[first..]);
+                compact.truncate(first + kept * m);
                 rest = others;
             }
             gram.add_product(&compact, &columns);
@@ -183,29 +182,58 @@ impl Design<'_> {
         gram
     }
 
-    /// Subtracts the weighted mean over a point's rows and scales each row by √w.
-    fn eliminate(&self, brdf: &Brdf, weights: &[f32], point: &Point, block: &mut [f32]) {
-        let rows = &self.observations.rows[point.rows.clone()];
-        let w = &weights[point.rows.clone()];
-        let n = block.len() / rows.len().max(1);
-        let transmittance: Vec<f32> = rows
-            .iter()
-            .map(|r| brdf.diffuse_transmittance(r.cos_view))
-            .collect();
-        let total: f32 = w.iter().zip(&transmittance).map(|(w, t)| w * t * t).sum();
-        if total <= 0.0 {
-            block.fill(0.0);
-            return;
-        }
-        let mut mean = vec![0.0_f32; n];
-        if !self.diffuse_known {
-            for ((row, w), t) in block.chunks_exact(n).zip(w).zip(&transmittance) {
-                vector::add_scaled(&mut mean, w * t / total, row);
+    /// Cuts the points of a run into blocks.
+    fn blocks(&self, first: usize, last: usize) -> Vec<Range<usize>> {
+        let mut blocks = Vec::new();
+        let mut start = first;
+        for next in first + 1..=last {
+            if next == last || self.observations.rows_of(&(start..next + 1)).len() > BLOCK {
+                blocks.push(start..next);
+                start = next;
             }
         }
-        for ((row, w), t) in block.chunks_exact_mut(n).zip(w).zip(&transmittance) {
-            vector::combine(row, w.sqrt(), -t * w.sqrt(), &mean);
+        blocks
+    }
+
+    /// Scales each row of a point by √w and takes the diffuse colour out of them. Returns how many are left, the first ones.
+    ///
+    /// What the diffuse colour adds to them is along the vector √w t. A Householder reflection turns that onto the last row,
+    /// which is left out; products of columns are the same as if it had been subtracted from each, of one row less.
+    fn eliminate(&self, brdf: &Brdf, weights: &[f32], point: &Point, block: &mut [f32]) -> usize {
+        let rows = &self.observations.rows[point.rows.clone()];
+        let n = block.len() / rows.len().max(1);
+        let scales: Vec<f32> = (weights[point.rows.clone()].iter())
+            .map(|w| w.sqrt())
+            .collect();
+        if self.diffuse_known {
+            for (row, scale) in block.chunks_exact_mut(n).zip(scales) {
+                row.iter_mut().for_each(|value| *value *= scale);
+            }
+            return rows.len();
         }
+        let mut reflector: Vec<f32> = (rows.iter().zip(&scales))
+            .map(|(row, scale)| scale * brdf.diffuse_transmittance(row.cos_view))
+            .collect();
+        let length = reflector.iter().map(|a| a * a).sum::<f32>().sqrt();
+        let Some(last) = reflector.last_mut().filter(|_| length > 0.0) else {
+            return 0;
+        };
+        let half_square = length * (length + *last);
+        *last += length;
+        let mut along = vec![0.0_f32; n];
+        for ((row, scale), v) in block.chunks_exact(n).zip(&scales).zip(&reflector) {
+            vector::add_scaled(&mut along, v * scale / half_square, row);
+        }
+        let kept = rows.len() - 1;
+        for ((row, scale), v) in block
+            .chunks_exact_mut(n)
+            .zip(scales)
+            .zip(reflector)
+            .take(kept)
+        {
+            vector::combine(row, scale, -v, &along);
+        }
+        kept
     }
 
     /// The same points with some of the cells only.
@@ -237,11 +265,11 @@ impl Design<'_> {
                 let mut own = [vec![0.0_f32; n], vec![0.0; n], vec![0.0; n]];
                 let mut light = lobes.point();
                 let mut value = vec![0.0_f32; n];
-                for start in (first..last).step_by(BLOCK) {
+                for points in self.blocks(first, last) {
                     if self.stop.load(Ordering::Relaxed) {
                         break;
                     }
-                    for index in start..(start + BLOCK).min(last) {
+                    for index in points {
                         let point = &self.observations.points[index];
                         self.light(&lobes, index, &mut light);
                         for k in point.rows.clone() {
@@ -254,7 +282,7 @@ impl Design<'_> {
                         }
                     }
                     for (sum, own) in sums.iter_mut().zip(&mut own).take(channels) {
-                        add(sum, own);
+                        vector::add(sum, own);
                         own.fill(0.0);
                     }
                 }
@@ -264,7 +292,7 @@ impl Design<'_> {
         let mut all = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
         for part in &parts {
             for (sum, part) in all.iter_mut().zip(part) {
-                add(sum, part);
+                vector::add(sum, part);
             }
         }
         if self.observations.gray {
@@ -273,22 +301,21 @@ impl Design<'_> {
         all
     }
 
-    /// Appends one row of the matrix, and the three channels measured, per row of the point.
+    /// Writes one row of the matrix, and the three channels measured, per row of the point.
     fn fill_point(
         &self,
         lobes: &CellLobes<'_>,
         index: usize,
         light: &PointLobes,
-        block: &mut Vec<f32>,
+        block: &mut [f32],
     ) {
-        let n = self.cells();
         let point = &self.observations.points[index];
-        for row in &self.observations.rows[point.rows.clone()] {
-            let from = block.len();
-            block.resize(from + n, 0.0);
+        let rows = &self.observations.rows[point.rows.clone()];
+        for (row, values) in rows.iter().zip(block.chunks_exact_mut(self.cells() + 3)) {
+            let (cells, measured) = values.split_at_mut(self.cells());
             let terms = lobes.brdf().view_terms(point.normal, row.to_camera);
-            lobes.row(&terms, light, &mut block[from..], None);
-            block.extend(row.radiance);
+            lobes.row(&terms, light, cells, None);
+            measured.copy_from_slice(&row.radiance);
         }
     }
 
@@ -314,7 +341,13 @@ impl Design<'_> {
             .collect();
         let design = self.restricted(&lit);
         let lobes = design.lobes(brdf);
-        let channels = [0, 1, 2].map(|k| lit.iter().map(|&c| radiance[c][k]).collect::<Vec<f32>>());
+        let n = lit.len();
+        let padded = n.next_multiple_of(vector::LANES);
+        let channels = [0, 1, 2].map(|k| {
+            let mut channel: Vec<f32> = lit.iter().map(|&c| radiance[c][k]).collect();
+            channel.resize(padded, 0.0);
+            channel
+        });
         let gray = channels[0] == channels[1] && channels[0] == channels[2];
         let sum = |row: &[f32]| {
             if gray {
@@ -323,106 +356,39 @@ impl Design<'_> {
                 channels.each_ref().map(|l| vector::dot(row, l))
             }
         };
-        design
-            .runs()
-            .into_par_iter()
-            .flat_map_iter(|(first, last)| {
-                let mut rows = Vec::new();
-                let mut light = lobes.point();
-                let (mut value, mut by_sigma) = (vec![0.0; lit.len()], vec![0.0; lit.len()]);
-                for index in first..last {
+        let rows = self.observations.rows.len();
+        let mut values = vec![[0.0; 3]; rows];
+        let mut derivatives = vec![[0.0; 3]; if derive { rows } else { 0 }];
+        let (mut value_rest, mut rest) = (values.as_mut_slice(), derivatives.as_mut_slice());
+        let blocks: Vec<_> = (self.blocks(0, self.observations.points.len()).into_iter())
+            .map(|points| {
+                let rows = self.observations.rows_of(&points).len();
+                let values = value_rest.split_off_mut(..rows).unwrap_or_default();
+                let derivatives = rest.split_off_mut(..rows).unwrap_or_default();
+                (points, values, derivatives)
+            })
+            .collect();
+        let room = || (lobes.point(), vec![0.0; padded], vec![0.0; padded]);
+        blocks.into_par_iter().for_each_init(
+            room,
+            |(light, value, by_sigma), (points, values, derivatives)| {
+                let mut k = 0;
+                for index in points {
                     let point = &self.observations.points[index];
-                    design.light(&lobes, index, &mut light);
+                    design.light(&lobes, index, light);
                     for row in &self.observations.rows[point.rows.clone()] {
                         let terms = brdf.view_terms(point.normal, row.to_camera);
-                        let derivative = derive.then_some(by_sigma.as_mut_slice());
-                        lobes.row(&terms, &light, &mut value, derivative);
-                        rows.push((sum(&value), sum(&by_sigma)));
+                        let derivative = derive.then_some(&mut by_sigma[..n]);
+                        lobes.row(&terms, light, &mut value[..n], derivative);
+                        values[k] = sum(value);
+                        if let Some(derivative) = derivatives.get_mut(k) {
+                            *derivative = sum(by_sigma);
+                        }
+                        k += 1;
                     }
                 }
-                rows
-            })
-            .unzip()
-    }
-}
-
-fn add<T: Into<f64> + Copy>(sums: &mut [f64], part: &[T]) {
-    for (s, &p) in sums.iter_mut().zip(part) {
-        *s += p.into();
-    }
-}
-
-/// The columns of a block of rows of `width` values that hold more than nothing, always with the last three, and the rows
-/// with these columns only; all columns where that leaves out few.
-fn compress(block: &[f32], width: usize) -> (Vec<usize>, Vec<f32>) {
-    let mut largest = vec![0.0_f32; width];
-    for row in block.chunks_exact(width) {
-        vector::keep_larger(&mut largest, row);
-    }
-    let cells = width - 3;
-    let threshold = NEGLIGIBLE * largest[..cells].iter().fold(0.0_f32, |m, &l| m.max(l));
-    let columns: Vec<usize> = (0..width)
-        .filter(|&c| c >= cells || largest[c] > threshold)
-        .collect();
-    if columns.len() as f32 > FEW_LEFT_OUT * width as f32 {
-        return ((0..width).collect(), block.to_vec());
-    }
-    let mut compact = Vec::with_capacity(columns.len() * block.len() / width);
-    for row in block.chunks_exact(width) {
-        compact.extend(columns.iter().map(|&c| row[c]));
-    }
-    (columns, compact)
-}
-
-/// The lower half of a symmetric matrix in the making.
-struct Lower {
-    /// Column by column, each from the diagonal down.
-    values: Vec<f64>,
-    n: usize,
-    /// Room for a block's product.
-    product: Vec<f32>,
-}
-
-impl Lower {
-    /// Where a column is: those before it have n, n − 1, … values.
-    fn place(&self, j: usize) -> Range<usize> {
-        let first = j * self.n - j * j.saturating_sub(1) / 2;
-        first..first + self.n - j
-    }
-
-    fn column(&self, j: usize) -> &[f64] {
-        &self.values[self.place(j)]
-    }
-
-    /// Adds `blockᵀ block`; `block` holds rows of the values of `columns`, which ascend. A block's products are summed in
-    /// single precision, blocks in double.
-    fn add_product(&mut self, block: &[f32], columns: &[usize]) {
-        let (m, n) = (columns.len(), self.n);
-        // Row-major rows × m is column-major m × rows.
-        let transposed = MatRef::from_column_major_slice(block, m, block.len() / m);
-        self.product.resize(m * m, 0.0);
-        matmul(
-            MatMut::from_column_major_slice_mut(&mut self.product, m, m),
-            BlockStructure::TriangularLower,
-            Accum::Replace,
-            transposed,
-            BlockStructure::Rectangular,
-            transposed.transpose(),
-            BlockStructure::Rectangular,
-            1.0_f32,
-            Par::Seq,
+            },
         );
-        for (j, &column) in columns.iter().enumerate() {
-            let place = self.place(column);
-            let sums = &mut self.values[place];
-            let product = &self.product[j * m..(j + 1) * m];
-            if m == n {
-                add(sums, &product[j..]);
-            } else {
-                for (&i, &p) in columns[j..].iter().zip(&product[j..]) {
-                    sums[i - column] += f64::from(p);
-                }
-            }
-        }
+        (values, derivatives)
     }
 }

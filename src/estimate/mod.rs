@@ -10,6 +10,7 @@ pub mod design;
 mod diagnose;
 mod exposures;
 mod fast;
+mod gram;
 mod lamps;
 pub mod lobes;
 mod model;

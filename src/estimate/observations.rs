@@ -4,6 +4,7 @@
 //! all of them (method notes, section 4). So only points that two views see clearly are taken. Points are spread
 //! evenly over the pixels of all views, at pixel centres of one view and interpolated in the others.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DVec2, Vec2, Vec3};
@@ -55,7 +56,7 @@ pub struct Point {
     /// The triangle it lies on, and its weights of the second and third corner.
     pub on: (u32, Vec2),
     /// Its rows in [`Observations::rows`].
-    pub rows: std::ops::Range<usize>,
+    pub rows: Range<usize>,
 }
 
 /// All points with their rows, points in the order of their normals.
@@ -89,6 +90,15 @@ impl Observations {
     /// Gathers points from all views.
     pub fn gather(seen: &Seen<'_>, sampling: &Sampling<'_>) -> Self {
         Self::of(Candidate::all(seen, sampling), sampling.scale)
+    }
+
+    /// The rows of some points, which follow each other.
+    pub fn rows_of(&self, points: &Range<usize>) -> Range<usize> {
+        let of_points = &self.points[points.clone()];
+        match (of_points.first(), of_points.last()) {
+            (Some(first), Some(last)) => first.rows.start..last.rows.end,
+            _ => 0..0,
+        }
     }
 
     /// The points of candidates.

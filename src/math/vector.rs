@@ -1,7 +1,8 @@
 //! Sums over rows of numbers, as vector code of the widest kind that the processor has.
 
-/// Partial sums side by side: so many that additions don't wait for each other.
-const LANES: usize = 32;
+/// Partial sums side by side: so many that additions don't wait for each other. Products of vectors of a multiple of this
+/// length take no longer than they have to.
+pub const LANES: usize = 32;
 
 /// `Σ aᵢ bᵢ`, summed in an order that depends on the length alone.
 pub fn dot(a: &[f32], b: &[f32]) -> f32 {
@@ -28,7 +29,10 @@ impl pulp::NullaryFnOnce for Dot<'_> {
             }
         }
         let rest: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
-        sums.iter().sum::<f32>() + rest
+        let sums: [f32; 16] = std::array::from_fn(|k| sums[k] + sums[k + 16]);
+        let sums: [f32; 8] = std::array::from_fn(|k| sums[k] + sums[k + 8]);
+        let sums: [f32; 4] = std::array::from_fn(|k| sums[k] + sums[k + 4]);
+        (sums[0] + sums[2]) + (sums[1] + sums[3]) + rest
     }
 }
 
@@ -39,6 +43,18 @@ pub fn add_scaled(sums: &mut [f32], factor: f32, values: &[f32]) {
         || {
             for (sum, value) in sums.iter_mut().zip(values) {
                 *sum += factor * value;
+            }
+        },
+    );
+}
+
+/// `sums += values`, in double precision.
+pub fn add<T: Into<f64> + Copy>(sums: &mut [f64], values: &[T]) {
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for (sum, &value) in sums.iter_mut().zip(values) {
+                *sum += value.into();
             }
         },
     );
