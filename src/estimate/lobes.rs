@@ -238,27 +238,28 @@ impl<const MICROFACET: bool> pulp::WithSimd for RowKernel<'_, MICROFACET> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(mut self, _: S) {
-        let n = self.value.len();
-        for first in (0..n).step_by(RUN) {
-            let cells = first..(first + RUN).min(n);
-            let value = &mut self.value[cells.clone()];
-            let by_sigma = self.by_sigma.as_deref_mut().map(|d| &mut d[cells]);
-            let run = Run::new(self.lobes, self.terms, self.light, first);
-            if !run.is_in_lobe() {
-                value.fill(0.0);
-                if let Some(by_sigma) = by_sigma {
-                    by_sigma.fill(0.0);
-                }
-                continue;
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let (whole, rest) = self.value.as_chunks_mut::<RUN>();
+        let rest_at = whole.len() * RUN;
+        let (mut derivatives, mut derivatives_rest) = match self.by_sigma {
+            Some(by_sigma) => {
+                let (whole, rest) = by_sigma.as_chunks_mut::<RUN>();
+                (Some(whole), Some(rest))
             }
-            match by_sigma {
-                None => value.copy_from_slice(&run.values::<MICROFACET>()[..value.len()]),
-                Some(by_sigma) => {
-                    let (values, derivatives) = run.derivatives::<MICROFACET>();
-                    value.copy_from_slice(&values[..value.len()]);
-                    by_sigma.copy_from_slice(&derivatives[..by_sigma.len()]);
-                }
+            None => (None, None),
+        };
+        let run = |first| Run::new(self.lobes, self.terms, self.light, first);
+        for (k, value) in whole.iter_mut().enumerate() {
+            let by_sigma = derivatives.as_deref_mut().map(|d| &mut d[k]);
+            run(k * RUN).write::<MICROFACET>(value, by_sigma);
+        }
+        if !rest.is_empty() {
+            let (mut value, mut by_sigma) = ([0.0; RUN], [0.0; RUN]);
+            let wanted = derivatives_rest.is_some().then_some(&mut by_sigma);
+            run(rest_at).write::<MICROFACET>(&mut value, wanted);
+            rest.copy_from_slice(&value[..rest.len()]);
+            if let Some(derivatives) = derivatives_rest.as_deref_mut() {
+                derivatives.copy_from_slice(&by_sigma[..derivatives.len()]);
             }
         }
     }
@@ -329,6 +330,28 @@ impl<'a> Run<'a> {
             *inside = u32::from(near) & u32::from(self.cos_light[c] > 0.0);
         }
         inside.iter().fold(0, |any, i| any | i) != 0
+    }
+
+    /// Writes the values and, if they are wanted, their derivatives by σ.
+    #[inline(always)]
+    fn write<const MICROFACET: bool>(
+        &self,
+        value: &mut [f32; RUN],
+        by_sigma: Option<&mut [f32; RUN]>,
+    ) {
+        let is_in_lobe = self.is_in_lobe();
+        match by_sigma {
+            None if is_in_lobe => *value = self.values::<MICROFACET>(),
+            Some(by_sigma) if is_in_lobe => {
+                (*value, *by_sigma) = self.derivatives::<MICROFACET>();
+            }
+            by_sigma => {
+                *value = [0.0; RUN];
+                if let Some(by_sigma) = by_sigma {
+                    *by_sigma = [0.0; RUN];
+                }
+            }
+        }
     }
 
     #[inline(always)]
