@@ -182,7 +182,9 @@ impl Bundle {
             let met = inside & nearer & (t > 0.0) & (t <= f32::MAX);
             let reached = if NEAREST { t } else { -1.0 };
             reach[i] = if met { reached } else { self.reach[i] };
-            triangle[i] = if met { leaf.triangle } else { self.triangle[i] };
+            // With bits: a choice between two places in memory would be made by gathering from them.
+            let chosen = u32::from(met).wrapping_neg();
+            triangle[i] = (leaf.triangle & chosen) | (self.triangle[i] & !chosen);
             if NEAREST {
                 first[i] = if met { b1 } else { self.barycentric[0][i] };
                 second[i] = if met { b2 } else { self.barycentric[1][i] };
