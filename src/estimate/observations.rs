@@ -11,6 +11,7 @@ use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::capture::{Mesh, Photograph, View};
+use crate::math::morton;
 use crate::surface::ViewSurface;
 
 /// Rows at a smaller cosine between normal and view are not used: 1/cos θ_r magnifies there whatever is wrong in
@@ -157,10 +158,7 @@ fn morton_of_direction(d: Vec3) -> u32 {
         (fold(d.x, d.y), fold(d.y, d.x))
     };
     let quantised = |t: f32| ((t * 0.5 + 0.5) * 255.0) as u32;
-    let (u, v) = (quantised(u), quantised(v));
-    (0..8).fold(0, |code, bit| {
-        code | ((u >> bit & 1) << (2 * bit)) | ((v >> bit & 1) << (2 * bit + 1))
-    })
+    morton::code([quantised(u), quantised(v)])
 }
 
 /// A surface point that may be taken.

@@ -3,6 +3,7 @@
 pub mod centred;
 pub mod exp;
 pub mod groups;
+pub mod morton;
 pub mod nnls;
 pub mod random;
 pub mod rounding;

@@ -3,7 +3,8 @@
 //! The mesh's own texture coordinates serve where they are a valid atlas. Otherwise the paper's lattice of points inside
 //! every triangle (2.1) becomes a texture: with legs of n and m cells, the lattice point (i, j) lies at the barycentric
 //! weights (i/n, j/m) and is the centre of a texel. Two such right triangles, one turned by half a turn, share a rectangle of
-//! (n + ⌈n/m⌉ + 3) × (m + 2) texels, and the rectangles are packed into shelves by height. Beyond the long side lie gutter
+//! (n + ⌈n/m⌉ + 3) × (m + 2) texels, and the rectangles are packed into shelves, part by part of the
+//! surface and by height. Beyond the long side lie gutter
 //! texels, so that a bilinear look-up anywhere in a triangle reads texels of that triangle only. A triangle no larger than
 //! the texels wanted is a single one: a scan of millions of triangles needs no more.
 
@@ -12,11 +13,14 @@ use rayon::prelude::*;
 
 use super::charts::from_own_uvs;
 use crate::capture::Mesh;
+use crate::math::morton;
 
 /// The longest side of a texture. Every WebGPU device has textures of this size, and larger ones are not promised.
 pub const LARGEST_SIDE: u32 = 8192;
 /// The most texels that carry data: at 20 bytes for the list and 12 for each texture, more would take gigabytes.
 const MOST_TEXELS: f64 = 32e6;
+/// Texels of the parts of the surface that are packed one after the other: their sums while a texture is made fit a cache.
+const PART: usize = 1 << 16;
 /// Fractions of a texel below this are rounding: look-ups on a lattice's edge must not reach over it.
 const SNAP: f32 = 1e-3;
 
@@ -180,13 +184,48 @@ impl Patch {
     }
 }
 
-/// The lattices of all triangles packed into one texture: its size and the patches, `None` if it does not fit.
-fn pack(cells: &[Cells]) -> Option<(u32, u32, Vec<Patch>)> {
-    let mut order: Vec<u32> = (0..cells.len() as u32).collect();
-    order.par_sort_unstable_by_key(|&t| {
-        let c = cells[t as usize];
-        (std::cmp::Reverse((c.m, c.n)), t)
-    });
+/// The order in which triangles get their places: part by part of the surface, so that what lies together there lies together
+/// in the texture, and by size within a part, as neighbours in a row should be of one height. Every other part ascends, and
+/// heights never jump. `along` holds all triangles along a curve that fills space.
+fn packing_order(cells: &[Cells], along: &[u32]) -> Vec<u32> {
+    let mut before = 0;
+    let part: Vec<usize> = along
+        .iter()
+        .map(|&t| {
+            let (w, h) = cells[t as usize].rectangle();
+            before += (w * h / 2).max(1) as usize;
+            before / PART
+        })
+        .collect();
+    let mut order: Vec<(usize, i64, u32)> = (along.iter().zip(part))
+        .map(|(&t, part)| {
+            let Cells { m, n, .. } = cells[t as usize];
+            let size = i64::from(m) << 32 | i64::from(n);
+            (part, if part % 2 == 0 { -size } else { size }, t)
+        })
+        .collect();
+    order.par_sort_unstable();
+    order.into_iter().map(|(_, _, t)| t).collect()
+}
+
+/// All triangles along a curve that fills space.
+fn along_space_curve(mesh: &Mesh) -> Vec<u32> {
+    let (least, most) = mesh.bounds();
+    let size = (most - least).max_element().max(f32::MIN_POSITIVE);
+    let mut order: Vec<(u32, u32)> = (0..mesh.triangles.len() as u32)
+        .into_par_iter()
+        .map(|t| {
+            let middle = mesh.corners(t).iter().sum::<Vec3>() / 3.0;
+            let place = (middle - least) / size * 1023.0;
+            (morton::code(place.as_uvec3().to_array()), t)
+        })
+        .collect();
+    order.par_sort_unstable();
+    order.into_iter().map(|(_, t)| t).collect()
+}
+
+/// The lattices of all triangles packed into one texture in some order: its size and the patches, `None` if it does not fit.
+fn pack(cells: &[Cells], order: &[u32]) -> Option<(u32, u32, Vec<Patch>)> {
     let pair_size = |pair: &[u32]| {
         pair.iter()
             .map(|&t| cells[t as usize].rectangle())
@@ -241,6 +280,7 @@ impl Atlas {
         );
         let mut warnings = Vec::new();
         let mut factor = 1.0_f32;
+        let along = along_space_curve(mesh);
         let (width, height, patches) = loop {
             let cells: Vec<Cells> = (0..mesh.triangles.len())
                 .into_par_iter()
@@ -254,7 +294,7 @@ impl Atlas {
                 })
                 .sum();
             let smallest = cells.iter().all(|c| c.is_single());
-            if let Some(packed) = pack(&cells)
+            if let Some(packed) = pack(&cells, &packing_order(&cells, &along))
                 && (total <= MOST_TEXELS || smallest)
             {
                 break packed;
