@@ -9,10 +9,11 @@
 //! Pixels weigh less the stronger the highlight that was subtracted, at grazing views and where they mix surfaces;
 //! between iterations those that disagree with the other views (interreflection, bad geometry) lose their weight.
 
-use glam::{Vec2, Vec3, Vec3A, Vec4};
+use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
 use super::best_views::BestViews;
+use super::footprints::{Canvas, Footprints, Pixel, Tap};
 use super::measure::psnr;
 use super::render::{Scene, specular_tiles};
 use super::samples::{Samples, bands};
@@ -37,10 +38,6 @@ const BASE_ERROR: f32 = 0.01;
 const MIXED_WEIGHT: f32 = 0.05;
 /// Residuals beyond this many standard deviations lose their weight (Tukey's biweight).
 const OUTLIER: f32 = 6.0;
-/// Accumulators, each for an equal part of every view, …
-const ACCUMULATORS: usize = 4;
-/// … and fewer where they would have more sums than these together.
-const MOST_SUMS: usize = 32 << 20;
 /// Where not all pixels serve the texture, every so-manieth one in each direction tells how well it fits.
 const FIT_STRIDE: usize = 4;
 /// Pixels that tell a median.
@@ -71,33 +68,6 @@ pub struct ViewFit {
     pub psnr_db: f32,
 }
 
-/// A view prepared for reconstruction: only the pixels that the surface covers, tile by tile, so that those one after the
-/// other read texels beside each other.
-struct Footprints {
-    /// Index of each pixel in the photograph.
-    pixels: Vec<u32>,
-    /// Taps of pixel `i` are `taps[starts[i]..starts[i + 1]]`.
-    starts: Vec<u32>,
-    /// Where sub-samples read the texture.
-    taps: Vec<Tap>,
-    /// Factor of every tap: transmittance towards the viewer / sub-samples of a whole pixel.
-    scale: Vec<f32>,
-    /// What was measured, minus the specular part.
-    target: Vec<Vec3>,
-    /// Confidence in the target, 0 to 1; 0 where other views serve that part of the surface.
-    weight: Vec<f32>,
-    /// Pixels that show the surface but serve for nothing.
-    left_out: usize,
-}
-
-/// A bilinear look-up: the upper left of four texels, and how far beyond its centre, in 1/65535 of a texel.
-#[derive(Clone, Copy)]
-struct Tap {
-    texel: u32,
-    across: u16,
-    down: u16,
-}
-
 /// Estimates the texture. `shader` holds the lighting under which the views were taken, `seen` is what triangles see of it,
 /// `surfaces` what each view sees.
 pub fn reconstruct(
@@ -118,6 +88,8 @@ pub fn reconstruct(
     // Of what they see only the triangles are asked for any more, and these only where there are no finer samples.
     let triangles = |surface: ViewSurface| (factor == 1).then_some(surface.triangle);
     let triangles: Vec<Option<Vec<u32>>> = surfaces.into_iter().map(triangles).collect();
+    let size = [atlas.width as usize, atlas.height as usize];
+    let mut sums = Canvas::new(size);
     let tracer = Tracer {
         scene,
         atlas,
@@ -129,6 +101,7 @@ pub fn reconstruct(
     let trace = |(index, (view, triangles)): (usize, (&View, Option<Vec<u32>>))| {
         let serves = |triangle| best.as_ref().is_none_or(|b| b.serve(triangle, index));
         let footprints = tracer.trace(view, triangles.as_deref(), &serves);
+        let footprints = footprints.sorted(&sums);
         let left_out = footprints.left_out;
         shortcuts.count(
             Shortcut::Views,
@@ -139,55 +112,51 @@ pub fn reconstruct(
     };
     let mut footprints: Vec<Footprints> =
         views.iter().zip(triangles).enumerate().map(trace).collect();
-    let texels = (atlas.width * atlas.height) as usize;
-    let size = [atlas.width as usize, atlas.height as usize];
-
-    let accumulators = ACCUMULATORS.min(MOST_SUMS / texels.max(1)).max(1);
-    let mut sums = Sums::new(accumulators, texels);
-    sums.clear();
-    for f in &footprints {
-        sums.scatter(f, size, |i| f.target[i] / f.covered(i));
-    }
-    sums.add_up();
-    let start = sums.total.clone();
-    let mut texture: Vec<Vec3A> = start
-        .par_iter()
-        .map(|s| s.truncate().max(Vec3::ZERO) * if s.w > 0.0 { 1.0 / s.w } else { 0.0 })
-        .map(Vec3A::from)
-        .collect();
+    sums.gather(&footprints, |f, i| f.target[i] / f.covered(i));
+    let start = sums.clone();
+    let mut texture = start.clone();
+    let texels = texture.values_mut().par_iter_mut();
+    texels.for_each(|[r, g, b, weight]| {
+        let mean = |sum: f32| {
+            if *weight > 0.0 {
+                sum.max(0.0) / *weight
+            } else {
+                0.0
+            }
+        };
+        (*r, *g, *b) = (mean(*r), mean(*g), mean(*b));
+    });
     for iteration in 0..ITERATIONS {
         if shader.is_stopped() {
             break;
         }
-        sums.clear();
-        for (f, view) in footprints.iter_mut().zip(views) {
-            let residuals = f.residuals(&texture, size);
-            if iteration == 1 {
+        if iteration == 1 {
+            for (f, view) in footprints.iter_mut().zip(views) {
+                let residuals = f.residuals(&texture);
                 f.distrust_outliers(view, &residuals, typical);
             }
-            sums.scatter(f, size, |i| residuals[i] / f.covered(i));
         }
-        sums.add_up();
-        texture
-            .par_iter_mut()
-            .zip(&sums.total)
-            .filter(|(_, update)| update.w > 0.0)
+        sums.gather(&footprints, |f, i| f.residual(i, &texture) / f.covered(i));
+        let updates = sums.values().par_iter();
+        let texels = texture.values_mut().par_iter_mut().zip(updates);
+        texels
+            .filter(|(_, update)| update[3] > 0.0)
             .for_each(|(value, update)| {
-                let step = Vec3A::from_vec4(*update) * (RELAXATION / update.w);
-                *value = (*value + step).max(Vec3A::ZERO);
+                let step = Vec4::from(*update) * (RELAXATION / update[3]);
+                *value = (Vec4::from(*value) + step).max(Vec4::ZERO).into();
             });
     }
     let fit = footprints
         .iter()
         .zip(views)
-        .map(|(f, view)| f.fit(view, &texture, size))
+        .map(|(f, view)| f.fit(view, &texture))
         .collect();
-    let confidence = (0..texels)
-        .into_par_iter()
-        .map(|t| start[t].w / (start[t].w + HALF_CONFIDENCE))
+    let confidence = start
+        .texels()
+        .map(|[.., weight]| weight / (weight + HALF_CONFIDENCE))
         .collect();
     DiffuseTexture {
-        radiance: texture.iter().map(Vec3A::to_array).collect(),
+        radiance: texture.texels().map(|[r, g, b, _]| [r, g, b]).collect(),
         confidence,
         fit,
     }
@@ -223,90 +192,6 @@ fn typical_radiance(views: &[View]) -> f32 {
     }
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f32::total_cmp).1
-}
-
-impl Tap {
-    /// The look-up at a texture coordinate in texels, held within a texture of at least 2 × 2 texels.
-    fn new(at: Vec2, size: [usize; 2]) -> Self {
-        const STEPS: f32 = 65535.0;
-        let last = Vec2::new(size[0] as f32 - 2.0, size[1] as f32 - 2.0).max(Vec2::ZERO);
-        let at = (at - 0.5).clamp(Vec2::ZERO, last + 1.0);
-        let low = at.as_uvec2().min(last.as_uvec2());
-        let part = (at - low.as_vec2()) * STEPS;
-        Self {
-            texel: low.y * size[0] as u32 + low.x,
-            across: part.x as u16,
-            down: part.y as u16,
-        }
-    }
-
-    /// The four texels with their weights.
-    #[inline]
-    fn texels(self, width: usize) -> [(usize, f32); 4] {
-        const STEP: f32 = 1.0 / 65535.0;
-        let (x, y) = (f32::from(self.across) * STEP, f32::from(self.down) * STEP);
-        let first = self.texel as usize;
-        [
-            (first, (1.0 - x) * (1.0 - y)),
-            (first + 1, x * (1.0 - y)),
-            (first + width, (1.0 - x) * y),
-            (first + width + 1, x * y),
-        ]
-    }
-}
-
-/// Σ weight × value (xyz) and Σ weight (w) over the taps of all pixels that touch each texel.
-struct Sums {
-    /// One sum per part of the views, so that their order is fixed.
-    parts: Vec<Vec<Vec4>>,
-    total: Vec<Vec4>,
-}
-
-impl Sums {
-    fn new(parts: usize, texels: usize) -> Self {
-        Self {
-            parts: vec![vec![Vec4::ZERO; texels]; parts],
-            total: vec![Vec4::ZERO; texels],
-        }
-    }
-
-    fn clear(&mut self) {
-        self.parts
-            .par_iter_mut()
-            .for_each(|part| part.fill(Vec4::ZERO));
-    }
-
-    /// Adds a value of each of a view's pixels to the parts.
-    fn scatter(
-        &mut self,
-        view: &Footprints,
-        size: [usize; 2],
-        value: impl Fn(usize) -> Vec3 + Sync,
-    ) {
-        let count = self.parts.len();
-        let cut = |k: usize| view.pixels.len() * k / count;
-        self.parts
-            .par_iter_mut()
-            .enumerate()
-            .for_each(|(own, part)| {
-                for i in (cut(own)..cut(own + 1)).filter(|&i| view.weight[i] > 0.0) {
-                    let weighted = value(i).extend(1.0) * (view.weight[i] * view.scale[i]);
-                    for tap in view.taps_of(i) {
-                        for (texel, share) in tap.texels(size[0]) {
-                            part[texel] += share * weighted;
-                        }
-                    }
-                }
-            });
-    }
-
-    /// The parts' total.
-    fn add_up(&mut self) {
-        self.total
-            .par_iter_mut()
-            .enumerate()
-            .for_each(|(t, total)| *total = self.parts.iter().map(|part| part[t]).sum());
-    }
 }
 
 /// What footprints are traced with.
@@ -377,18 +262,18 @@ impl Tracer<'_> {
                     } else {
                         0.0
                     };
-                    part.pixels.push(pixel as u32);
-                    part.taps.extend(covered.iter().map(|s| {
+                    let taps = covered.iter().map(|s| {
                         let [a, b, c] = atlas.corner_uvs[s.triangle as usize];
                         let (u, v) = (s.barycentric.x, s.barycentric.y);
                         Tap::new(a * (1.0 - u - v) + b * u + c * v, size)
-                    }));
-                    part.starts.push(part.taps.len() as u32);
-                    part.scale.push(through / samples.full() as f32);
-                    part.target
-                        .push(Vec3::from(photograph.radiance[pixel]) - specular);
-                    part.weight
-                        .push(trust * cos_view.clamp(0.02, 1.0) * certainty);
+                    });
+                    let pixel = Pixel {
+                        index: pixel,
+                        scale: through / samples.full() as f32,
+                        target: Vec3::from(photograph.radiance[pixel]) - specular,
+                        weight: trust * cos_view.clamp(0.02, 1.0) * certainty,
+                    };
+                    part.push(&pixel, taps);
                 }
                 part
             };
@@ -406,71 +291,6 @@ impl Tracer<'_> {
 }
 
 impl Footprints {
-    /// Without pixels yet, with room for some of so many taps.
-    fn with_room(taps: usize) -> Self {
-        let mut starts = Vec::with_capacity(taps + 1);
-        starts.push(0);
-        Self {
-            pixels: Vec::with_capacity(taps),
-            starts,
-            taps: Vec::with_capacity(taps),
-            scale: Vec::with_capacity(taps),
-            target: Vec::with_capacity(taps),
-            weight: Vec::with_capacity(taps),
-            left_out: 0,
-        }
-    }
-
-    /// Adds the pixels of others after its own.
-    fn append(&mut self, parts: Vec<Self>) {
-        let pixels = parts.iter().map(|p| p.pixels.len()).sum();
-        self.taps.reserve(parts.iter().map(|p| p.taps.len()).sum());
-        self.pixels.reserve(pixels);
-        self.starts.reserve(pixels);
-        self.scale.reserve(pixels);
-        self.target.reserve(pixels);
-        self.weight.reserve(pixels);
-        for part in parts {
-            let base = self.taps.len() as u32;
-            self.starts
-                .extend(part.starts[1..].iter().map(|s| base + s));
-            self.pixels.extend(part.pixels);
-            self.taps.extend(part.taps);
-            self.scale.extend(part.scale);
-            self.target.extend(part.target);
-            self.weight.extend(part.weight);
-        }
-    }
-
-    fn taps_of(&self, i: usize) -> &[Tap] {
-        &self.taps[self.starts[i] as usize..self.starts[i + 1] as usize]
-    }
-
-    /// How much of a pixel its taps make up, transmittance inside.
-    fn covered(&self, i: usize) -> f32 {
-        (self.scale[i] * self.taps_of(i).len() as f32).max(1e-6)
-    }
-
-    /// Diffuse radiance of a pixel under a texture.
-    fn predict(&self, i: usize, texture: &[Vec3A], size: [usize; 2]) -> Vec3 {
-        let mut sum = Vec3A::ZERO;
-        for tap in self.taps_of(i) {
-            for (texel, share) in tap.texels(size[0]) {
-                sum += texture[texel] * share;
-            }
-        }
-        Vec3::from(sum) * self.scale[i]
-    }
-
-    fn residual(&self, i: usize, texture: &[Vec3A], size: [usize; 2]) -> Vec3 {
-        self.target[i] - self.predict(i, texture, size)
-    }
-
-    fn residuals(&self, texture: &[Vec3A], size: [usize; 2]) -> Vec<Vec3> {
-        let pixels = (0..self.pixels.len()).into_par_iter();
-        pixels.map(|i| self.residual(i, texture, size)).collect()
-    }
-
     /// Takes weight from pixels whose residual is far outside the common run.
     fn distrust_outliers(&mut self, view: &View, residuals: &[Vec3], typical: f32) {
         let mut sizes: Vec<f32> = residuals
@@ -504,7 +324,7 @@ impl Footprints {
             });
     }
 
-    fn fit(&self, view: &View, texture: &[Vec3A], size: [usize; 2]) -> ViewFit {
+    fn fit(&self, view: &View, texture: &Canvas) -> ViewFit {
         let coverage = view.photograph.coverage.as_deref();
         let width = view.camera.width as usize;
         let counts = |pixel: usize| self.left_out == 0 || tells_fit([pixel % width, pixel / width]);
@@ -520,7 +340,7 @@ impl Footprints {
         let rendered: Vec<Vec3> = inside
             .par_iter()
             .zip(&measured)
-            .map(|(&i, measured)| measured - self.residual(i, texture, size))
+            .map(|(&i, measured)| measured - self.residual(i, texture))
             .collect();
         let differences = rendered.iter().zip(&measured).map(|(r, m)| *r - *m);
         ViewFit {

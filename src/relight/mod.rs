@@ -8,6 +8,7 @@ mod diffuse;
 mod edits;
 mod environment;
 mod fill;
+mod footprints;
 mod interreflection;
 mod irradiance;
 mod lighting;
