@@ -207,7 +207,9 @@ impl Design<'_> {
             .collect();
         if self.diffuse_known {
             for (row, scale) in block.chunks_exact_mut(n).zip(scales) {
-                row.iter_mut().for_each(|value| *value *= scale);
+                for value in row {
+                    *value *= scale;
+                }
             }
             return rows.len();
         }

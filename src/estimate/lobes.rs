@@ -241,7 +241,7 @@ impl<const MICROFACET: bool> pulp::WithSimd for RowKernel<'_, MICROFACET> {
     fn with_simd<S: pulp::Simd>(self, _: S) {
         let (whole, rest) = self.value.as_chunks_mut::<RUN>();
         let rest_at = whole.len() * RUN;
-        let (mut derivatives, mut derivatives_rest) = match self.by_sigma {
+        let (mut derivatives, derivatives_rest) = match self.by_sigma {
             Some(by_sigma) => {
                 let (whole, rest) = by_sigma.as_chunks_mut::<RUN>();
                 (Some(whole), Some(rest))
@@ -258,7 +258,7 @@ impl<const MICROFACET: bool> pulp::WithSimd for RowKernel<'_, MICROFACET> {
             let wanted = derivatives_rest.is_some().then_some(&mut by_sigma);
             run(rest_at).write::<MICROFACET>(&mut value, wanted);
             rest.copy_from_slice(&value[..rest.len()]);
-            if let Some(derivatives) = derivatives_rest.as_deref_mut() {
+            if let Some(derivatives) = derivatives_rest {
                 derivatives.copy_from_slice(&by_sigma[..derivatives.len()]);
             }
         }

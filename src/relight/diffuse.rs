@@ -101,7 +101,6 @@ pub fn reconstruct(
     let trace = |(index, (view, triangles)): (usize, (&View, Option<Vec<u32>>))| {
         let serves = |triangle| best.as_ref().is_none_or(|b| b.serve(triangle, index));
         let footprints = tracer.trace(view, triangles.as_deref(), &serves);
-        let footprints = footprints.sorted(&sums);
         let left_out = footprints.left_out;
         shortcuts.count(
             Shortcut::Views,
@@ -112,7 +111,8 @@ pub fn reconstruct(
     };
     let mut footprints: Vec<Footprints> =
         views.iter().zip(triangles).enumerate().map(trace).collect();
-    sums.gather(&footprints, |f, i| f.target[i] / f.covered(i));
+    footprints.par_iter_mut().for_each(|f| *f = f.sorted(&sums));
+    sums.gather(&footprints, None);
     let start = sums.clone();
     let mut texture = start.clone();
     let texels = texture.values_mut().par_iter_mut();
@@ -136,7 +136,7 @@ pub fn reconstruct(
                 f.distrust_outliers(view, &residuals, typical);
             }
         }
-        sums.gather(&footprints, |f, i| f.residual(i, &texture) / f.covered(i));
+        sums.gather(&footprints, Some(&texture));
         let updates = sums.values().par_iter();
         let texels = texture.values_mut().par_iter_mut().zip(updates);
         texels

@@ -7,6 +7,7 @@ use std::ops::Range;
 
 use glam::{Vec2, Vec3, Vec4};
 use rayon::prelude::*;
+use smallvec::SmallVec;
 
 /// Texels along the sides of a window.
 const SIDE: usize = 4;
@@ -173,11 +174,9 @@ impl Canvas {
 
     /// A row of a window.
     #[inline(always)]
-    fn row(&self, first: usize) -> &Lanes {
-        let texels = self.values[first..].first_chunk::<SIDE>();
-        let row = texels.map(|texels| texels.as_flattened());
-        row.and_then(|row| row.first_chunk())
-            .expect("windows lie within margins")
+    fn row(&self, first: usize) -> &[[f32; 4]; SIDE] {
+        let row = self.values[first..].first_chunk();
+        row.expect("windows lie within margins")
     }
 }
 
@@ -281,24 +280,41 @@ impl Footprints {
         }
     }
 
-    /// What a texture leaves of a pixel's diffuse radiance.
+    /// What a pixel shows of a texture whose rows are so far apart.
     #[inline(always)]
-    pub(super) fn residual(&self, i: usize, texture: &Canvas) -> Vec3 {
-        let stride = texture.stride();
-        let mut sums: Lanes = [0.0; SIDE * SIDE];
+    fn windows(&self, i: usize, stride: usize) -> SmallVec<[Window; 4]> {
+        let mut windows = SmallVec::new();
         let mut taps = self.taps_of(i);
         while !taps.is_empty() {
             let (window, count) = Window::of_first(taps, stride);
-            for row in 0..window.rows {
-                let texels = texture.row(window.first + row * stride);
-                for ((sum, share), value) in sums.iter_mut().zip(window.row(row)).zip(texels) {
-                    *sum += share * value;
-                }
-            }
+            windows.push(window);
             taps = &taps[count..];
         }
-        let sum = |k: usize| (sums[k] + sums[k + 4]) + (sums[k + 8] + sums[k + 12]);
-        self.target[i] - Vec3::new(sum(0), sum(1), sum(2)) * self.scale[i]
+        windows
+    }
+
+    /// What a texture leaves of a pixel's diffuse radiance.
+    #[inline(always)]
+    pub(super) fn residual(&self, i: usize, texture: &Canvas) -> Vec3 {
+        self.residual_in(i, &self.windows(i, texture.stride()), texture)
+    }
+
+    #[inline(always)]
+    fn residual_in(&self, i: usize, windows: &[Window], texture: &Canvas) -> Vec3 {
+        let stride = texture.stride();
+        let mut sum = Vec4::ZERO;
+        for window in windows {
+            for (row, shares) in window.weights.as_chunks::<SIDE>().0[..window.rows]
+                .iter()
+                .enumerate()
+            {
+                let texels = texture.row(window.first + row * stride);
+                for (&share, &texel) in shares.iter().zip(texels) {
+                    sum += share * Vec4::from(texel);
+                }
+            }
+        }
+        self.target[i] - sum.truncate() * self.scale[i]
     }
 
     /// [`Footprints::residual`] of all pixels.
@@ -354,24 +370,27 @@ impl Band<'_> {
         true
     }
 
-    /// Adds what the pixels of a view that lie in the band show, and returns what falls outside.
+    /// Adds what the pixels of a view that lie in the band show, or what a texture leaves of it, and returns what falls outside.
     #[inline(always)]
     fn scatter(
         &mut self,
         view: &Footprints,
         pixels: Range<usize>,
-        value: &impl Fn(usize) -> Vec3,
+        texture: Option<&Canvas>,
         spills: &mut Vec<Spill>,
     ) {
         for i in pixels.filter(|&i| view.weight[i] > 0.0) {
-            let weighted = value(i).extend(1.0) * (view.weight[i] * view.scale[i]);
-            let mut taps = view.taps_of(i);
-            while !taps.is_empty() {
-                let (window, count) = Window::of_first(taps, self.stride);
+            let windows = view.windows(i, self.stride);
+            let left = match texture {
+                Some(texture) => view.residual_in(i, &windows, texture),
+                None => view.target[i],
+            };
+            let value = (left / view.covered(i)).extend(1.0);
+            let weighted = value * (view.weight[i] * view.scale[i]);
+            for window in windows {
                 if !self.add(&window, weighted) {
                     spills.push(Spill { window, weighted });
                 }
-                taps = &taps[count..];
             }
         }
     }
@@ -386,12 +405,9 @@ impl Canvas {
         (self.size[1] + SIDE - 1).div_ceil(self.rows_of_band())
     }
 
-    /// Sets every texel to the sums, over the pixels of all views that show it, of weight × value (xyz) and weight (w).
-    pub(super) fn gather(
-        &mut self,
-        views: &[Footprints],
-        value: impl Fn(&Footprints, usize) -> Vec3 + Sync,
-    ) {
+    /// Sets every texel to the sums, over the pixels of all views that show it, of weight × value (xyz) and weight (w). A
+    /// pixel's value is the mean that it shows, or what `texture` leaves of that.
+    pub(super) fn gather(&mut self, views: &[Footprints], texture: Option<&Self>) {
         let stride = self.stride();
         let length = self.rows_of_band() * stride;
         let bands = self.values.par_chunks_mut(length).enumerate();
@@ -410,7 +426,7 @@ impl Canvas {
                     pulp::Arch::new().dispatch(
                         #[inline(always)]
                         || {
-                            band.scatter(view, pixels, &|i| value(view, i), &mut spills);
+                            band.scatter(view, pixels, texture, &mut spills);
                         },
                     );
                 }
@@ -424,6 +440,87 @@ impl Canvas {
         };
         for Spill { window, weighted } in spills.into_iter().flatten() {
             whole.add(&window, weighted);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::random::Random;
+
+    /// Pixels of up to four taps each, near each other or anywhere, and where these are.
+    fn view(size: [usize; 2]) -> (Footprints, Vec<Vec<Vec2>>) {
+        let random = Random::new(7, 0);
+        let extent = Vec2::new(size[0] as f32, size[1] as f32);
+        let uniform = |index: usize| random.uniform(index as u64) as f32;
+        let anywhere = |index| Vec2::new(uniform(2 * index), uniform(2 * index + 1)) * extent;
+        let mut view = Footprints::with_room(0);
+        let mut places = Vec::new();
+        for index in 0..300 {
+            let taps: Vec<Vec2> = (0..=index % 4)
+                .map(|k| match index % 3 {
+                    0 => anywhere(4 * index + k),
+                    _ => anywhere(4 * index) + Vec2::new(0.7, -0.4) * k as f32,
+                })
+                .collect();
+            let pixel = Pixel {
+                index,
+                scale: 0.25,
+                target: Vec3::new(1.0, 2.0, uniform(5000 + index)),
+                weight: uniform(6000 + index),
+            };
+            view.push(&pixel, taps.iter().map(|&at| Tap::new(at, size)));
+            places.push(taps);
+        }
+        (view, places)
+    }
+
+    /// The texels that a look-up reads, with their weights.
+    fn bilinear(at: Vec2, size: [usize; 2]) -> Vec<(usize, f32)> {
+        let last = Vec2::new(size[0] as f32 - 1.0, size[1] as f32 - 1.0);
+        let at = (at - 0.5).clamp(Vec2::ZERO, last);
+        let texels = (0..size[0] * size[1]).map(|t| {
+            let away = (Vec2::new((t % size[0]) as f32, (t / size[0]) as f32) - at).abs();
+            (t, (1.0 - away.x).max(0.0) * (1.0 - away.y).max(0.0))
+        });
+        texels.filter(|(_, share)| *share > 0.0).collect()
+    }
+
+    #[test]
+    fn sums_and_residuals_are_those_of_every_look_up_by_itself() {
+        for size in [[1, 1], [3, 2], [37, 900]] {
+            let (view, places) = view(size);
+            let mut sums = Canvas::new(size);
+            let sorted = view.sorted(&sums);
+            sums.gather(std::slice::from_ref(&sorted), None);
+            let mut expected = vec![Vec4::ZERO; size[0] * size[1]];
+            for (i, taps) in places.iter().enumerate() {
+                let value = (view.target[i] / (0.25 * taps.len() as f32)).extend(1.0);
+                for (texel, share) in taps.iter().flat_map(|&at| bilinear(at, size)) {
+                    expected[texel] += share * 0.25 * view.weight[i] * value;
+                }
+            }
+            let found: Vec<[f32; 4]> = sums.texels().collect();
+            for (t, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                let error = (Vec4::from(*found) - expected).abs().max_element();
+                assert!(
+                    error < 1e-3 * expected.max_element().max(1.0),
+                    "{size:?} {t}: {error}"
+                );
+            }
+            let residuals = sorted.residuals(&sums);
+            for (residual, &i) in residuals.iter().zip(&sorted.pixels) {
+                let i = i as usize;
+                let shown: Vec4 = (places[i].iter().flat_map(|&at| bilinear(at, size)))
+                    .map(|(texel, share)| share * 0.25 * expected[texel])
+                    .sum();
+                let error = (*residual - (view.target[i] - shown.truncate())).abs();
+                assert!(
+                    error.max_element() < 1e-2 * shown.max_element().max(1.0),
+                    "{size:?} {i}"
+                );
+            }
         }
     }
 }
