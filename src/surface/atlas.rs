@@ -3,10 +3,9 @@
 //! The mesh's own texture coordinates serve where they are a valid atlas. Otherwise the paper's lattice of points inside
 //! every triangle (2.1) becomes a texture: with legs of n and m cells, the lattice point (i, j) lies at the barycentric
 //! weights (i/n, j/m) and is the centre of a texel. Two such right triangles, one turned by half a turn, share a rectangle of
-//! (n + ⌈n/m⌉ + 3) × (m + 2) texels, and the rectangles are packed into shelves, part by part of the
-//! surface and by height. Beyond the long side lie gutter
-//! texels, so that a bilinear look-up anywhere in a triangle reads texels of that triangle only. A triangle no larger than
-//! the texels wanted is a single one: a scan of millions of triangles needs no more.
+//! (n + ⌈n/m⌉ + 3) × (m + 2) texels, and the rectangles are packed into shelves, part by part of the surface and by height.
+//! Beyond the long side lie gutter texels, so that a bilinear look-up anywhere in a triangle reads texels of that triangle
+//! only. A triangle no larger than the texels wanted is a single one: a scan of millions of triangles needs no more.
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
