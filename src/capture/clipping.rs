@@ -4,6 +4,8 @@
 //! largest value, beside few of nearly that value, on the slope that leads up to it. The top of a highlight that is all
 //! there is as many pixels, but of different values.
 
+use std::array;
+
 /// Fewer pixels of one value are no plateau.
 const LEAST_PIXELS: usize = 16;
 /// Values from this part of the largest on are nearly that.
@@ -19,28 +21,33 @@ const LARGEST_PART: f32 = 0.2;
 
 /// Marks the pixels of which a channel is clipped.
 pub(super) fn mark_clipped(rgb: &[[f32; 3]], clipped: &mut [bool]) {
-    for channel in 0..3 {
-        let values = || rgb.iter().map(|pixel| pixel[channel]);
-        let largest = values().filter(|v| v.is_finite()).fold(0.0, f32::max);
-        if largest <= 0.0 {
-            continue;
-        }
-        let count = |is: &dyn Fn(f32) -> bool| values().filter(|&v| is(v)).count();
-        let top = count(&|v| v == largest);
-        if top < LEAST_PIXELS {
-            continue;
-        }
-        let nearly = count(&|v| v >= NEARLY * largest && v < largest) as f32;
-        let lit = count(&|v| v > 0.0) as f32;
-        let top = top as f32;
-        let is_plateau =
-            top > LEAST_RATIO * nearly && nearly > LEAST_SLOPE * top && top < LARGEST_PART * lit;
-        if is_plateau {
+    let largest = rgb.iter().fold([0.0_f32; 3], |largest, pixel| {
+        array::from_fn(|c| match pixel[c] {
+            v if v.is_finite() => largest[c].max(v),
+            _ => largest[c],
+        })
+    });
+    let top = rgb.iter().fold([0_usize; 3], |top, pixel| {
+        array::from_fn(|c| top[c] + usize::from(pixel[c] == largest[c]))
+    });
+    for c in 0..3 {
+        let values = || rgb.iter().map(|pixel| pixel[c]);
+        if largest[c] > 0.0 && top[c] >= LEAST_PIXELS && is_plateau(values, largest[c], top[c]) {
             for (mark, v) in clipped.iter_mut().zip(values()) {
-                *mark |= v == largest;
+                *mark |= v == largest[c];
             }
         }
     }
+}
+
+/// Whether the `top` pixels of the `largest` of a channel's values are a plateau on a slope.
+fn is_plateau<V: Iterator<Item = f32>>(values: impl Fn() -> V, largest: f32, top: usize) -> bool {
+    let nearly = values()
+        .filter(|&v| v >= NEARLY * largest && v < largest)
+        .count() as f32;
+    let lit = values().filter(|&v| v > 0.0).count() as f32;
+    let top = top as f32;
+    top > LEAST_RATIO * nearly && nearly > LEAST_SLOPE * top && top < LARGEST_PART * lit
 }
 
 #[cfg(test)]

@@ -17,9 +17,11 @@ use super::clipping::mark_clipped;
 use super::error::CaptureError;
 use exr::meta::header::Header;
 use exr::prelude::{FlatImage, FlatSamples, MetaData, ReadChannels, ReadLayers};
+use half::slice::HalfFloatSliceExt;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageReader};
 use std::io::Cursor;
+use std::ops::Range;
 use std::path::Path;
 
 /// Most pixels an image may have: beyond any camera, and small enough to fit in memory.
@@ -321,15 +323,18 @@ fn read_exr(
             FlatSamples::F16(_) => HALF_MAX,
             FlatSamples::F32(_) | FlatSamples::U32(_) => f32::INFINITY,
         };
-        place.each(samples, |pixel, value| {
-            rgb[pixel][c] = value;
-            saturated[pixel] |= value >= limit;
+        place.each_row(samples, |first, values| {
+            let pixels = rgb[first..].iter_mut().zip(&mut saturated[first..]);
+            for ((pixel, saturated), &value) in pixels.zip(values) {
+                pixel[c] = value;
+                *saturated |= value >= limit;
+            }
         });
     }
     let alpha = layer.alpha.map(|index| {
         let mut alpha = vec![0.0; rgb.len()];
-        place.each(&channels[index].sample_data, |pixel, value| {
-            alpha[pixel] = value;
+        place.each_row(&channels[index].sample_data, |first, values| {
+            alpha[first..][..values.len()].copy_from_slice(values);
         });
         alpha
     });
@@ -353,22 +358,36 @@ struct Placement {
 }
 
 impl Placement {
-    /// Calls `set` with the pixel of the display window and the value, for every sample inside it.
-    fn each(&self, samples: &FlatSamples, mut set: impl FnMut(usize, f32)) {
-        let mut values = samples.values_as_f32();
-        for y in 0..self.data_height {
-            let row = y as i64 + self.offset.1;
-            for x in 0..self.data_width {
-                let Some(value) = values.next() else { return };
-                let column = x as i64 + self.offset.0;
-                if (0..self.size.1 as i64).contains(&row)
-                    && (0..self.size.0 as i64).contains(&column)
-                {
-                    set(row as usize * self.size.0 + column as usize, value);
+    /// Calls `set` for every row of samples inside the display window, with the row's first pixel there and its values.
+    fn each_row(&self, samples: &FlatSamples, mut set: impl FnMut(usize, &[f32])) {
+        let (width, height) = self.size;
+        let columns = inside(self.offset.0, self.data_width, width);
+        let mut values = vec![0.0; columns.len()];
+        for y in inside(self.offset.1, self.data_height, height) {
+            let start = y * self.data_width;
+            let stored = start + columns.start..start + columns.end;
+            match samples {
+                FlatSamples::F16(all) => all[stored].convert_to_f32_slice(&mut values),
+                FlatSamples::F32(all) => values.copy_from_slice(&all[stored]),
+                FlatSamples::U32(all) => {
+                    let stored = all[stored].iter().map(|&value| value as f32);
+                    values
+                        .iter_mut()
+                        .zip(stored)
+                        .for_each(|(to, from)| *to = from);
                 }
             }
+            let row = (y as i64 + self.offset.1) as usize;
+            let column = (columns.start as i64 + self.offset.0) as usize;
+            set(row * width + column, &values);
         }
     }
+}
+
+/// The part of `0..data` that lies, moved by `offset`, in `0..display`.
+fn inside(offset: i64, data: usize, display: usize) -> Range<usize> {
+    let clamped = |end: i64| end.clamp(0, data as i64) as usize;
+    clamped(-offset)..clamped(display as i64 - offset)
 }
 
 /// Decoder of a file that is not EXR, with limits on what its header may ask for.

@@ -11,7 +11,9 @@ use rayon::prelude::*;
 
 use super::grid::HemisphereGrid;
 use crate::capture::{Mesh, View};
-use crate::surface::{Atlas, GRAZING, MinimumTexture, NO_TRIANGLE, ViewSurface, is_object};
+use crate::surface::{
+    Atlas, Barycentrics, GRAZING, MinimumTexture, NO_TRIANGLE, ViewSurface, is_object,
+};
 
 /// Rounds in which a node without a value takes the mean of its neighbours': where the surface is strongly curved, mirror
 /// rays of adjacent pixels lie several nodes apart, and what lies between them was seen too.
@@ -77,35 +79,36 @@ impl SpecularImage {
         let eye = camera.position().as_vec3();
         let step = (surface.triangle.len() / ENOUGH_PIXELS).max(1);
         let shift = (SHIFT * step as f32) as usize;
-        let looked_at = (0..surface.height as usize)
-            .into_par_iter()
-            .flat_map_iter(|y| {
-                let row = y * width;
-                (row + y * shift % step..row + width).step_by(step)
-            });
-        let pixels = looked_at.filter_map(|pixel| {
-            let (x, y) = (pixel % width, pixel / width);
-            let triangle = surface.triangle[pixel];
-            let usable = triangle != NO_TRIANGLE
-                && surface.interior[pixel]
-                && is_object(&view.photograph, pixel);
-            if !usable {
-                return None;
-            }
-            let barycentric = surface.barycentric(mesh, camera, x as u32, y as u32)?;
-            let point = mesh.point(triangle, barycentric);
-            let to_camera = (eye - point.position).normalize_or_zero();
-            if point.normal.dot(to_camera) < GRAZING {
-                return None;
-            }
-            let diffuse = texture.at(atlas, triangle, barycentric)?;
-            let measured = Vec3::from(view.photograph.radiance[pixel]);
-            Some(SpecularPixel {
-                radiance: (measured - Vec3::from(diffuse)).max(Vec3::ZERO),
-                normal: point.normal,
-                position: point.position,
+        let of_row = |y: usize| {
+            let row = y * width;
+            let mut barycentrics = Barycentrics::new(mesh, camera);
+            let looked_at = (row + y * shift % step..row + width).step_by(step);
+            looked_at.filter_map(move |pixel| {
+                let triangle = surface.triangle[pixel];
+                let usable = triangle != NO_TRIANGLE
+                    && surface.interior[pixel]
+                    && is_object(&view.photograph, pixel);
+                if !usable {
+                    return None;
+                }
+                let x = (pixel - row) as u32;
+                let barycentric = barycentrics.at(triangle, x, y as u32)?;
+                let point = mesh.point(triangle, barycentric);
+                let to_camera = (eye - point.position).normalize_or_zero();
+                if point.normal.dot(to_camera) < GRAZING {
+                    return None;
+                }
+                let diffuse = texture.at(atlas, triangle, barycentric)?;
+                let measured = Vec3::from(view.photograph.radiance[pixel]);
+                Some(SpecularPixel {
+                    radiance: (measured - Vec3::from(diffuse)).max(Vec3::ZERO),
+                    normal: point.normal,
+                    position: point.position,
+                })
             })
-        });
+        };
+        let rows = (0..surface.height as usize).into_par_iter();
+        let pixels = rows.flat_map_iter(of_row);
         Self {
             pixels: pixels.collect(),
         }

@@ -11,7 +11,7 @@ use super::render::Scene;
 use super::shading::{Shader, ShadingPoint, Visibility};
 use super::triangle_shares::texels_of_triangles;
 use crate::capture::{SurfacePoint, View};
-use crate::surface::{Atlas, ViewSurface, observe};
+use crate::surface::{Atlas, Reading, ViewSurface};
 
 /// Views that are enough for a part of the surface.
 const ENOUGH: usize = 6;
@@ -49,7 +49,7 @@ impl<'a> BestViews<'a> {
         let words = views.len().div_ceil(64);
         let judge = Judge {
             views,
-            surfaces,
+            readings: Reading::of_all(views, surfaces),
             shader,
             typical,
             whole: vec![Visibility::Whole; shader.groups()],
@@ -85,8 +85,7 @@ impl<'a> BestViews<'a> {
 /// What views are ranked by.
 struct Judge<'a> {
     views: &'a [View],
-    /// What each of them sees.
-    surfaces: &'a [ViewSurface],
+    readings: Vec<Reading<'a>>,
     /// The lighting under which they were taken.
     shader: &'a Shader<'a>,
     /// A typical diffuse radiance.
@@ -118,7 +117,7 @@ impl Judge<'_> {
     /// What a view's pixels would weigh at a point, up to one factor for all; `None` where it does not show it.
     fn worth(&self, point: &SurfacePoint, index: usize) -> Option<f32> {
         let view = &self.views[index];
-        let seen = observe(index as u32, view, &self.surfaces[index], point)?;
+        let seen = self.readings[index].observe(point)?;
         let to_eye = view.camera.position().as_vec3() - point.position;
         let resolution = view.camera.focal.max_element() as f32 / to_eye.length();
         let worth = seen.cosine * resolution * resolution;

@@ -5,6 +5,7 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::{Fit, HemispherePicture, Skipped, Solution, SolutionLamp, lighting, origin};
 use crate::capture::{Camera, Capture, Mesh, View};
@@ -29,6 +30,8 @@ use crate::surface::{
 const TEXELS_PER_PIXEL: f32 = 1.0;
 /// Views that may miss a light that the initial hemisphere keeps (the n of 2.2).
 const MISSING_VIEWS: usize = 2;
+/// Views that are looked from at once: enough to keep all threads busy, few enough to be stopped between them.
+const VIEWS_AT_ONCE: usize = 4;
 /// Side of a hemisphere's picture in pixels.
 const PICTURE_SIDE: u32 = 256;
 
@@ -319,9 +322,12 @@ fn see(
     stage: (&str, f32),
 ) -> Result<Vec<ViewSurface>, Stopped> {
     let mut surfaces = Vec::with_capacity(views.len());
-    for view in views {
+    for some in views.chunks(VIEWS_AT_ONCE) {
         report(observer, stage)?;
-        surfaces.push(ViewSurface::new(mesh, occluder, &view.camera));
+        let seen = some
+            .par_iter()
+            .map(|view| ViewSurface::new(mesh, occluder, &view.camera));
+        surfaces.par_extend(seen);
     }
     report(observer, stage)?;
     Ok(surfaces)

@@ -12,8 +12,8 @@ pub use atlas::{Atlas, LARGEST_SIDE, Texel};
 pub use bvh::{Hit, Occluder, WalkNode};
 pub use fairing::{Fairing, area_vectors};
 pub use texture::{
-    FULL_COVERAGE, GRAZING, MinimumTexture, Observation, is_object, minimum_texture, observations,
-    observe, wanted_density,
+    FULL_COVERAGE, GRAZING, MinimumTexture, Observation, Reading, is_object, minimum_texture,
+    wanted_density,
 };
 pub use visible::{Barycentrics, NO_TRIANGLE, ViewSurface, front_most};
 

@@ -7,25 +7,22 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
-use smallvec::SmallVec;
 
-use super::atlas::Atlas;
+use super::atlas::{Atlas, Texel};
 use super::visible::{NO_TRIANGLE, ViewSurface};
 use crate::capture::{Mesh, Photograph, SurfacePoint, View};
 
 /// Views that see a point at a smaller cosine to its normal count only where there is no better one: the image smears the
 /// surface there, and eq. 4 amplifies what is wrong by 1/cos θᵣ.
 pub const GRAZING: f32 = 0.15;
-/// Cosine by which a view may be behind all corners of a triangle and before a point between them.
-const BARELY_BEHIND: f32 = 0.3;
+/// Texels that are looked at from one view after the other, so that what they read of a view stays in the fastest cache.
+const AT_ONCE: usize = 512;
 /// Coverage from which a pixel shows nothing but the object.
 pub const FULL_COVERAGE: f32 = 0.999;
 
 /// One surface point seen in one view.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation {
-    /// Index of the view.
-    pub view: u32,
     /// Cosine of the angle between the shading normal and the direction to the camera, cos θᵣ.
     pub cosine: f32,
     /// Radiance towards the camera, RGB, bilinear between pixel centres.
@@ -51,53 +48,54 @@ pub fn is_object(photograph: &Photograph, pixel: usize) -> bool {
             .is_none_or(|coverage| coverage[pixel] >= FULL_COVERAGE)
 }
 
-/// What `view` shows of a surface point, from in front; `None` where it is hidden, at a silhouette or on unusable pixels.
-pub fn observe(
-    index: u32,
-    view: &View,
-    surface: &ViewSurface,
-    point: &SurfacePoint,
-) -> Option<Observation> {
-    let to_camera = view.camera.position().as_vec3() - point.position;
-    let height = point.normal.dot(to_camera);
-    if height <= 0.0 {
-        return None;
-    }
-    let cosine = height / to_camera.length();
-    let at = surface.sees(&view.camera, point.position)?;
-    let photograph = &view.photograph;
-    // `sees` has made sure that all four pixels exist.
-    let (x, y) = ((at.x - 0.5).floor(), (at.y - 0.5).floor());
-    let first = y as usize * photograph.width as usize + x as usize;
-    let (right, below) = ((at.x - 0.5 - x) as f32, (at.y - 0.5 - y) as f32);
-    let mut radiance = Vec3::ZERO;
-    for (row, wy) in [(0, 1.0 - below), (photograph.width as usize, below)] {
-        for (column, wx) in [(0, 1.0 - right), (1, right)] {
-            let pixel = first + row + column;
-            if !is_object(photograph, pixel) {
-                return None;
-            }
-            radiance += wx * wy * Vec3::from(photograph.radiance[pixel]);
-        }
-    }
-    Some(Observation {
-        view: index,
-        cosine,
-        radiance,
-    })
+/// A view's photograph as a texture is read from it.
+pub struct Reading<'a> {
+    view: &'a View,
+    surface: &'a ViewSurface,
+    /// Whether a pixel and those right of it, below it and across are data and show nothing but one piece of the object.
+    readable: Vec<bool>,
+    /// The camera's position.
+    eye: Vec3,
 }
 
-/// What all views show of a surface point, in the order of the views.
-pub fn observations<'a>(
-    views: &'a [View],
-    surfaces: &'a [ViewSurface],
-    point: &'a SurfacePoint,
-) -> impl Iterator<Item = Observation> + 'a {
-    views
-        .iter()
-        .zip(surfaces)
-        .enumerate()
-        .filter_map(move |(i, (view, surface))| observe(i as u32, view, surface, point))
+impl<'a> Reading<'a> {
+    /// Of a view and what it sees.
+    pub fn new(view: &'a View, surface: &'a ViewSurface) -> Self {
+        Self {
+            view,
+            surface,
+            readable: surface.readable(&|pixel| is_object(&view.photograph, pixel)),
+            eye: view.camera.position().as_vec3(),
+        }
+    }
+
+    /// Of all views.
+    pub fn of_all(views: &'a [View], surfaces: &'a [ViewSurface]) -> Vec<Self> {
+        let views = views.iter().zip(surfaces);
+        views
+            .map(|(view, surface)| Self::new(view, surface))
+            .collect()
+    }
+
+    /// What the view shows of a surface point, from in front; `None` where it is hidden, at a silhouette or on unusable
+    /// pixels.
+    pub fn observe(&self, point: &SurfacePoint) -> Option<Observation> {
+        let to_camera = self.eye - point.position;
+        let height = point.normal.dot(to_camera);
+        if height <= 0.0 {
+            return None;
+        }
+        let camera = &self.view.camera;
+        let between = self
+            .surface
+            .between(camera, point.position, &self.readable)?;
+        let of = |pixel: usize| Vec3::from(self.view.photograph.radiance[pixel]);
+        let weighted = between.pixels.iter().zip(between.weights.to_array());
+        Some(Observation {
+            cosine: height / to_camera.length(),
+            radiance: weighted.map(|(&pixel, weight)| weight * of(pixel)).sum(),
+        })
+    }
 }
 
 /// Texels per mesh unit for each triangle, such that a texel is as large as 1 / `texels_per_pixel` pixels in the view that
@@ -160,68 +158,64 @@ pub fn minimum_texture(
     views: &[View],
     surfaces: &[ViewSurface],
 ) -> MinimumTexture {
-    let texels: Vec<(Vec3, f32)> = atlas
+    let readings = Reading::of_all(views, surfaces);
+    let texels: Vec<Least> = atlas
         .texels
-        .par_chunk_by(|a, b| a.triangle == b.triangle)
+        .par_chunks(AT_ONCE)
         .flat_map_iter(|texels| {
-            let facing = facing(mesh, texels[0].triangle, views);
-            texels.iter().map(move |texel| {
-                let point = mesh.point(texel.triangle, texel.barycentric);
-                let of_view = |&v: &u32| {
-                    let i = v as usize;
-                    observe(v, &views[i], &surfaces[i], &point)
-                };
-                least(facing.iter().filter_map(of_view))
-            })
+            let point = |texel: &Texel| mesh.point(texel.triangle, texel.barycentric);
+            let points: Vec<SurfacePoint> = texels.iter().map(point).collect();
+            let mut least = vec![Least::default(); points.len()];
+            for reading in &readings {
+                for (point, least) in points.iter().zip(&mut least) {
+                    least.hear(reading.observe(point));
+                }
+            }
+            least
         })
         .collect();
     let mut texture = MinimumTexture {
         radiance: vec![[0.0; 3]; atlas.len()],
         confidence: vec![0.0; atlas.len()],
     };
-    for (texel, (radiance, confidence)) in atlas.texels.iter().zip(texels) {
-        texture.radiance[texel.index as usize] = radiance.to_array();
-        texture.confidence[texel.index as usize] = confidence;
+    for (texel, least) in atlas.texels.iter().zip(texels) {
+        texture.radiance[texel.index as usize] = least.radiance.to_array();
+        texture.confidence[texel.index as usize] = least.confidence;
     }
     texture
 }
 
-/// The views that are in front of a triangle, as its shading normals tell: in front of one of its corners, or nearly.
-fn facing(mesh: &Mesh, triangle: u32, views: &[View]) -> SmallVec<[u32; 32]> {
-    let corners = mesh.triangles[triangle as usize].map(|v| v as usize);
-    let before = |view: &View| {
-        let eye = view.camera.position().as_vec3();
-        corners.iter().any(|&v| {
-            let to_camera = eye - mesh.positions[v];
-            mesh.normals[v].dot(to_camera) > -BARELY_BEHIND * to_camera.length()
-        })
-    };
-    let views = (0..).zip(views);
-    views
-        .filter(|(_, view)| before(view))
-        .map(|(i, _)| i)
-        .collect()
+/// The colour of least magnitude among those heard of so far. Grazing views count only where there is no other.
+#[derive(Clone, Copy)]
+struct Least {
+    radiance: Vec3,
+    /// Whether it is from a grazing view, and its squared magnitude.
+    rank: (bool, f32),
+    /// Σ cos θᵣ.
+    confidence: f32,
 }
 
-/// The colour of least magnitude and Σ cos θᵣ. Grazing views are heard only where there is no other.
-fn least(observations: impl Iterator<Item = Observation>) -> (Vec3, f32) {
-    let mut confidence = 0.0;
-    let mut best: Option<(bool, f32, Vec3)> = None;
-    for seen in observations {
-        confidence += seen.cosine;
-        let candidate = (
-            seen.cosine < GRAZING,
-            seen.radiance.length_squared(),
-            seen.radiance,
-        );
-        if best.is_none_or(|b| (candidate.0, candidate.1) < (b.0, b.1)) {
-            best = Some(candidate);
+impl Default for Least {
+    fn default() -> Self {
+        Self {
+            radiance: Vec3::ZERO,
+            rank: (true, f32::INFINITY),
+            confidence: 0.0,
         }
     }
-    (
-        best.map_or(Vec3::ZERO, |(_, _, radiance)| radiance),
-        confidence,
-    )
+}
+
+impl Least {
+    fn hear(&mut self, seen: Option<Observation>) {
+        let Some(Observation { cosine, radiance }) = seen else {
+            return;
+        };
+        self.confidence += cosine;
+        let rank = (cosine < GRAZING, radiance.length_squared());
+        if rank < self.rank {
+            (self.rank, self.radiance) = (rank, radiance);
+        }
+    }
 }
 
 impl MinimumTexture {

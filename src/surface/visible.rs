@@ -7,7 +7,7 @@
 //! an edge compute the same numbers for it and leave no crack. Where the lens distorts, straight edges do not stay
 //! straight and each pixel casts a ray instead.
 
-use glam::{DVec2, DVec3, Vec2, Vec3};
+use glam::{DMat3, DVec2, DVec3, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
 use super::bvh::Occluder;
@@ -20,6 +20,8 @@ pub const NO_TRIANGLE: u32 = u32::MAX;
 const BAND_ROWS: u32 = 32;
 /// Depths below this fraction of the object's size do not exist: the surface would touch the lens.
 const NEAR: f64 = 1e-6;
+/// Planes that neighbours are compared by and kept for the next: more triangles than meet around a pixel.
+const PLANES_KEPT: usize = 64;
 
 /// The surface as one view sees it, row by row from the top.
 #[derive(Clone, Debug)]
@@ -34,8 +36,9 @@ pub struct ViewSurface {
     pub depth: Vec<f32>,
     /// Whether the 3×3 pixels about it show one piece of surface: no silhouette, no jump in depth.
     pub interior: Vec<bool>,
-    /// Whether the surface runs on without a jump to the pixel on the right and to the pixel below.
-    joined: Vec<[bool; 2]>,
+    /// Whether the pixel and those right of it, below it and across show one piece of surface, so that what lies between
+    /// their centres is shown too.
+    whole: Vec<bool>,
 }
 
 /// A triangle ready to be rasterised: the edge functions' coefficients and the bounding box of its pixels.
@@ -265,6 +268,56 @@ impl<'a> Barycentrics<'a> {
     }
 }
 
+/// A place between four pixels' centres.
+pub(super) struct Between {
+    /// Upper left, upper right, lower left and lower right.
+    pub pixels: [usize; 4],
+    /// Their shares in a bilinear look-up.
+    pub weights: Vec4,
+    /// In pixel coordinates.
+    at: DVec2,
+}
+
+/// Shares of four neighbours in what lies `fraction` of the way right and down from the first.
+fn bilinear(fraction: Vec2) -> Vec4 {
+    let (right, below) = (fraction.x, fraction.y);
+    let rows = Vec4::new(1.0 - below, 1.0 - below, below, below);
+    rows * Vec4::new(1.0 - right, right, 1.0 - right, right)
+}
+
+/// Planes of triangles as a camera sees them: one over the depth is g · d for a ray d of unit depth. Those asked for last are
+/// kept.
+struct Planes<'a> {
+    mesh: &'a Mesh,
+    camera: &'a Camera,
+    to_camera: DMat3,
+    kept: [(u32, DVec3); PLANES_KEPT],
+}
+
+impl<'a> Planes<'a> {
+    fn new(mesh: &'a Mesh, camera: &'a Camera) -> Self {
+        Self {
+            mesh,
+            camera,
+            to_camera: camera.world_from_camera.matrix3.transpose(),
+            kept: [(NO_TRIANGLE, DVec3::ZERO); PLANES_KEPT],
+        }
+    }
+
+    /// The g of a triangle's plane.
+    fn of(&mut self, triangle: u32) -> DVec3 {
+        let kept = &mut self.kept[triangle as usize % PLANES_KEPT];
+        if kept.0 != triangle {
+            let eye = self.camera.position();
+            let corners = self.mesh.corners(triangle);
+            let [a, b, c] = corners.map(|p| p.as_dvec3() - eye);
+            let normal = (b - a).cross(c - a);
+            *kept = (triangle, self.to_camera * (normal / normal.dot(a)));
+        }
+        kept.1
+    }
+}
+
 impl ViewSurface {
     /// What `camera` sees of `mesh`; `occluder` is the same mesh's.
     pub fn new(mesh: &Mesh, occluder: &Occluder, camera: &Camera) -> Self {
@@ -275,69 +328,68 @@ impl ViewSurface {
             triangle,
             depth,
             interior: Vec::new(),
-            joined: Vec::new(),
+            whole: Vec::new(),
         };
-        surface.join(mesh, camera);
+        surface.find_jumps(mesh, camera);
         surface
     }
 
-    /// Finds the jumps in depth. The plane of each pixel's triangle is extended to its neighbour: the surface runs on if
-    /// either extension comes within a pixel's footprint of the neighbour's depth, allowing for curvature in
-    /// proportion to the slope.
-    fn join(&mut self, mesh: &Mesh, camera: &Camera) {
+    /// Finds where depth jumps, and so what is `whole` and `interior`.
+    fn find_jumps(&mut self, mesh: &Mesh, camera: &Camera) {
         let width = self.width as usize;
-        let pixels = self.triangle.len();
-        let footprint = 1.0 / camera.focal.min_element();
-        // Both are asked for only where two triangles meet.
-        let ray =
-            |p: usize| unit_depth_ray(camera, pixel_centre((p % width) as u32, (p / width) as u32));
-        let to_camera = camera.world_from_camera.matrix3.transpose();
-        // Inverse depth on a triangle's plane is linear in the ray: 1/z = g · d.
-        let plane = |p: usize, ray: DVec3| {
-            let [a, b, c] = mesh.corners(self.triangle[p]).map(Vec3::as_dvec3);
-            let normal = to_camera.mul_vec3((b - a).cross(c - a));
-            normal / (normal.dot(ray) * f64::from(self.depth[p]))
-        };
-        let runs_on = |p: usize, q: usize| {
+        let joined: Vec<[bool; 2]> = (0..self.height)
+            .into_par_iter()
+            .flat_map_iter(|y| self.joined_in_row(mesh, camera, y))
+            .collect();
+        // Nothing is joined to what would lie beyond the right edge or the lower one.
+        let whole = joined
+            .par_iter()
+            .enumerate()
+            .map(|(p, &[right, below])| right && below && joined[p + 1][1] && joined[p + width][0]);
+        let whole: Vec<bool> = whole.collect();
+        let interior = (0..whole.len()).into_par_iter().map(|p| {
+            let inside = p > width && p % width != 0;
+            inside && whole[p - width - 1] && whole[p - width] && whole[p - 1] && whole[p]
+        });
+        self.interior = interior.collect();
+        self.whole = whole;
+    }
+
+    /// Whether the surface runs on without a jump from each pixel of a row to the one right of it and the one below.
+    fn joined_in_row(&self, mesh: &Mesh, camera: &Camera, y: u32) -> Vec<[bool; 2]> {
+        let width = self.width as usize;
+        let mut planes = Planes::new(mesh, camera);
+        let mut joined = |from: [u32; 2], to: [u32; 2]| {
+            let [p, q] = [from, to].map(|[x, y]| y as usize * width + x as usize);
             let (tp, tq) = (self.triangle[p], self.triangle[q]);
             if tp == NO_TRIANGLE || tq == NO_TRIANGLE {
                 return false;
             }
-            if tp == tq {
-                return true;
+            tp == tq || {
+                let [to_p, to_q] =
+                    [from, to].map(|[x, y]| unit_depth_ray(camera, pixel_centre(x, y)));
+                let extended = [1.0 / planes.of(tp).dot(to_q), 1.0 / planes.of(tq).dot(to_p)];
+                self.runs_on([p, q], extended, camera)
             }
-            let (zp, zq) = (f64::from(self.depth[p]), f64::from(self.depth[q]));
-            let (to_p, to_q) = (ray(p), ray(q));
-            let zp_at_q = 1.0 / plane(p, to_p).dot(to_q);
-            let zq_at_p = 1.0 / plane(q, to_q).dot(to_p);
-            let gap = (zp_at_q - zq).abs().min((zq_at_p - zp).abs());
-            let slope = (zp_at_q - zp).abs().max((zq_at_p - zq).abs());
-            gap <= footprint * zp.min(zq) + 0.25 * slope.min((zp - zq).abs())
         };
-        let joined: Vec<[bool; 2]> = (0..pixels)
-            .into_par_iter()
-            .map(|p| {
-                [
-                    (p + 1) % width != 0 && runs_on(p, p + 1),
-                    p + width < pixels && runs_on(p, p + width),
-                ]
-            })
-            .collect();
-        self.interior = (0..pixels)
-            .into_par_iter()
-            .map(|p| {
-                let (x, y) = (p % width, p / width);
-                if x == 0 || y == 0 || x + 1 == width || y + 1 == self.height as usize {
-                    return false;
-                }
-                let rows = [p - width, p, p + width];
-                rows.iter().all(|&r| joined[r - 1][0] && joined[r][0])
-                    && rows[..2]
-                        .iter()
-                        .all(|&r| joined[r - 1][1] && joined[r][1] && joined[r + 1][1])
-            })
-            .collect();
-        self.joined = joined;
+        let at = |x: u32| {
+            let right = x + 1 < self.width && joined([x, y], [x + 1, y]);
+            let below = y + 1 < self.height && joined([x, y], [x, y + 1]);
+            [right, below]
+        };
+        (0..self.width).map(at).collect()
+    }
+
+    /// Whether two neighbours of different triangles show one piece of surface: the plane of either, extended to the other,
+    /// comes within a pixel's footprint of the depth there, allowing for curvature in proportion to the slope. `extended`
+    /// is the first's plane at the second and the second's at the first.
+    fn runs_on(&self, pixels: [usize; 2], extended: [f64; 2], camera: &Camera) -> bool {
+        let [zp, zq] = pixels.map(|pixel| f64::from(self.depth[pixel]));
+        let [zp_at_q, zq_at_p] = extended;
+        let gap = (zp_at_q - zq).abs().min((zq_at_p - zp).abs());
+        let slope = (zp_at_q - zp).abs().max((zq_at_p - zq).abs());
+        let footprint = zp.min(zq) / camera.focal.min_element();
+        gap <= footprint + 0.25 * slope.min((zp - zq).abs())
     }
 
     /// Weights of the second and third corner of the pixel's triangle where the ray through the pixel's centre meets its
@@ -360,6 +412,18 @@ impl ViewSurface {
     /// Where the view shows the world point `position`, in pixel coordinates: `None` unless it is the front-most surface
     /// there and the four pixels that a bilinear look-up reads show one piece of surface.
     pub fn sees(&self, camera: &Camera, position: Vec3) -> Option<DVec2> {
+        self.between(camera, position, &self.whole)
+            .map(|between| between.at)
+    }
+
+    /// The pixels between whose centres the view shows the world point `position`; `None` unless it is the front-most surface
+    /// there and the first of them is `readable`.
+    pub(super) fn between(
+        &self,
+        camera: &Camera,
+        position: Vec3,
+        readable: &[bool],
+    ) -> Option<Between> {
         let in_camera = camera.to_camera(position.as_dvec3());
         let at = camera.project_from_camera(in_camera)?;
         let corner = at - 0.5;
@@ -369,26 +433,37 @@ impl ViewSurface {
         }
         let (x, y) = (corner.x as usize, corner.y as usize);
         let width = self.width as usize;
-        let p = y * width + x;
-        let one_piece = self.joined[p][0]
-            && self.joined[p][1]
-            && self.joined[p + 1][1]
-            && self.joined[p + width][0];
-        if !one_piece {
+        let first = y * width + x;
+        if !readable[first] {
             return None;
         }
-        let z = -in_camera.z;
-        let depths = [p, p + 1, p + width, p + width + 1].map(|q| f64::from(self.depth[q]));
-        let (fx, fy) = (corner.x - x as f64, corner.y - y as f64);
+        let fraction = (corner - DVec2::new(x as f64, y as f64)).as_vec2();
+        let pixels = [first, first + 1, first + width, first + width + 1];
+        let between = Between {
+            pixels,
+            weights: bilinear(fraction),
+            at,
+        };
         // Inverse depth is linear across a plane's image.
-        let top = (1.0 - fx) / depths[0] + fx / depths[1];
-        let bottom = (1.0 - fx) / depths[2] + fx / depths[3];
-        let seen = 1.0 / ((1.0 - fy) * top + fy * bottom);
-        let (low, high) = depths
-            .iter()
-            .fold((f64::INFINITY, 0.0_f64), |(l, h), &d| (l.min(d), h.max(d)));
-        let tolerance = z / camera.focal.min_element() + 0.5 * (high - low);
-        ((z - seen).abs() <= tolerance).then_some(at)
+        let depths = Vec4::from_array(pixels.map(|pixel| self.depth[pixel]));
+        let z = -in_camera.z as f32;
+        let seen = 1.0 / between.weights.dot(depths.recip());
+        let range = depths.max_element() - depths.min_element();
+        let tolerance = z / camera.focal.min_element() as f32 + 0.5 * range;
+        ((z - seen).abs() <= tolerance).then_some(between)
+    }
+
+    /// For each pixel whether it and those right of it, below it and across show one piece of surface and each of them
+    /// `is_readable`.
+    pub(super) fn readable(&self, is_readable: &(dyn Fn(usize) -> bool + Sync)) -> Vec<bool> {
+        let width = self.width as usize;
+        let all = |(p, &whole): (usize, &bool)| {
+            whole
+                && [p, p + 1, p + width, p + width + 1]
+                    .into_iter()
+                    .all(is_readable)
+        };
+        self.whole.par_iter().enumerate().map(all).collect()
     }
 }
 
