@@ -54,21 +54,25 @@ impl Capture {
                 Ok((file, mesh, warnings))
             },
         );
-        let mut views = Vec::with_capacity(manifest.frames.len());
         let mut tally = Tally::default();
         let mut uses = Vec::new();
+        let mut pictures = Vec::with_capacity(manifest.frames.len());
         for ((frame, merged), mask) in manifest.frames.iter().zip(frames).zip(masks) {
             let mut merged = merged?;
             warnings.append(&mut merged.warnings);
             uses.push(std::mem::take(&mut merged.uses));
-            let mask = mask?;
-            views.push(make_view(
-                &manifest,
-                frame,
-                merged,
-                mask.as_ref(),
-                &mut tally,
-            )?);
+            tally.count_encoding(merged.picture.encoding);
+            pictures.push((frame, merged.picture, mask?));
+        }
+        let made: Vec<Result<(View, PixelCounts), CaptureError>> = pictures
+            .into_par_iter()
+            .map(|(frame, picture, mask)| make_view(&manifest, frame, picture, mask.as_ref()))
+            .collect();
+        let mut views = Vec::with_capacity(made.len());
+        for made in made {
+            let (view, counts) = made?;
+            tally.pixels.push((view.name.clone(), counts));
+            views.push(view);
         }
         tally.report(&mut warnings);
         let brackets = uses
@@ -258,6 +262,14 @@ struct Tally {
 }
 
 impl Tally {
+    fn count_encoding(&mut self, encoding: Encoding) {
+        match encoding {
+            Encoding::Float => {}
+            Encoding::Linear16 => self.single_linear += 1,
+            Encoding::Srgb8 => self.single_srgb += 1,
+        }
+    }
+
     /// "12 pixels in a.exr, b.exr" for the views where `count` is not zero.
     fn list(&self, count: impl Fn(&PixelCounts) -> usize) -> Option<String> {
         let found: Vec<(&str, usize)> = self
@@ -308,17 +320,10 @@ impl Tally {
 fn make_view(
     manifest: &Manifest,
     frame: &Frame,
-    merged: Merged,
+    picture: Picture,
     mask: Option<&Picture>,
-    tally: &mut Tally,
-) -> Result<View, CaptureError> {
+) -> Result<(View, PixelCounts), CaptureError> {
     let path = frame.exposures[0].path.clone();
-    let picture = merged.picture;
-    match picture.encoding {
-        Encoding::Float => {}
-        Encoding::Linear16 => tally.single_linear += 1,
-        Encoding::Srgb8 => tally.single_srgb += 1,
-    }
     let size = (picture.width, picture.height);
     if let (Some(mask), Some(path)) = (mask, &frame.mask) {
         let found = (mask.width, mask.height);
@@ -331,17 +336,18 @@ fn make_view(
             });
         }
     }
-    let photograph = clean(picture, mask, &frame.name, tally);
+    let (photograph, counts) = clean(picture, mask);
     check_useful(&photograph, &path)?;
-    Ok(View {
+    let view = View {
         name: frame.name.clone(),
         camera: frame.lens.camera(size, frame.world_from_camera),
         photograph: Arc::new(photograph),
-    })
+    };
+    Ok((view, counts))
 }
 
 /// Makes every pixel finite and not negative and marks what is data.
-fn clean(picture: Picture, mask: Option<&Picture>, name: &str, tally: &mut Tally) -> Photograph {
+fn clean(picture: Picture, mask: Option<&Picture>) -> (Photograph, PixelCounts) {
     let Picture {
         width,
         height,
@@ -394,14 +400,14 @@ fn clean(picture: Picture, mask: Option<&Picture>, name: &str, tally: &mut Tally
             };
         }
     }
-    tally.pixels.push((name.to_owned(), counts));
-    Photograph {
+    let photograph = Photograph {
         width,
         height,
         radiance: rgb,
         coverage,
         usable,
-    }
+    };
+    (photograph, counts)
 }
 
 /// Whether a mask keeps a pixel.

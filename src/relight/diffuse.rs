@@ -109,8 +109,9 @@ pub fn reconstruct(
         );
         footprints
     };
-    let mut footprints: Vec<Footprints> =
-        views.iter().zip(triangles).enumerate().map(trace).collect();
+    // Several views at once, so that all threads are busy at the end of each.
+    let of_views = views.par_iter().zip(triangles).enumerate();
+    let mut footprints: Vec<Footprints> = of_views.map(trace).collect();
     footprints.par_iter_mut().for_each(|f| *f = f.sorted(&sums));
     sums.gather(&footprints, None);
     let start = sums.clone();
@@ -131,10 +132,11 @@ pub fn reconstruct(
             break;
         }
         if iteration == 1 {
-            for (f, view) in footprints.iter_mut().zip(views) {
+            let of_views = footprints.par_iter_mut().zip(views);
+            of_views.for_each(|(f, view)| {
                 let residuals = f.residuals(&texture);
                 f.distrust_outliers(view, &residuals, typical);
-            }
+            });
         }
         sums.gather(&footprints, Some(&texture));
         let updates = sums.values().par_iter();
@@ -147,7 +149,7 @@ pub fn reconstruct(
             });
     }
     let fit = footprints
-        .iter()
+        .par_iter()
         .zip(views)
         .map(|(f, view)| f.fit(view, &texture))
         .collect();
