@@ -285,7 +285,7 @@ fn row(seen: &Seen<'_>, view: usize, position: Vec3, normal: Vec3) -> Option<Row
     if cos_view < MIN_COS_ROW {
         return None;
     }
-    let pixel = seen.surfaces[view].sees(camera, position)?;
+    let pixel = seen.surfaces[view].sees(position)?;
     let (radiance, detail) =
         interpolate(&seen.views[view].photograph, &seen.surfaces[view], pixel)?;
     Some(Row {

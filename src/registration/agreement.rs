@@ -228,7 +228,7 @@ fn seen_in(views: &[View], surfaces: &[ViewSurface], point: &SurfacePoint) -> Ve
         if cosine <= 0.0 {
             continue;
         }
-        let Some(at) = surface.sees(&view.camera, point.position) else {
+        let Some(at) = surface.sees(point.position) else {
             continue;
         };
         let radiance = if cosine > LEAST_COSINE {

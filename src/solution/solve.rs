@@ -377,16 +377,25 @@ fn hemispheres(
         radiance: &minimum.radiance,
     });
     let mut partials: Vec<PartialHemisphere> = Vec::with_capacity(surfaces.len());
-    for (index, (view, surface)) in capture.views.iter().zip(surfaces).enumerate() {
+    for (views, surfaces) in capture
+        .views
+        .chunks(VIEWS_AT_ONCE)
+        .zip(surfaces.chunks(VIEWS_AT_ONCE))
+    {
         report(observer, HEMISPHERES)?;
-        let specular = SpecularImage::new(&capture.mesh, atlas, &minimum, view, surface);
-        let partial = specular.partial_hemisphere(grid, view.camera.position().as_vec3());
-        observer.interim(Interim::Partial {
-            view: index,
-            grid,
-            radiance: &partial.radiance,
-        });
-        partials.push(partial);
+        let partial = |(view, surface): (&View, &ViewSurface)| {
+            let specular = SpecularImage::new(&capture.mesh, atlas, &minimum, view, surface);
+            specular.partial_hemisphere(grid, view.camera.position().as_vec3())
+        };
+        let first = partials.len();
+        partials.par_extend(views.par_iter().zip(surfaces).map(partial));
+        for (index, partial) in partials.iter().enumerate().skip(first) {
+            observer.interim(Interim::Partial {
+                view: index,
+                grid,
+                radiance: &partial.radiance,
+            });
+        }
     }
     let missing = MISSING_VIEWS.min(partials.len().saturating_sub(2));
     let initial = InitialHemisphere::new(&partials, missing);

@@ -85,10 +85,7 @@ impl<'a> Reading<'a> {
         if height <= 0.0 {
             return None;
         }
-        let camera = &self.view.camera;
-        let between = self
-            .surface
-            .between(camera, point.position, &self.readable)?;
+        let between = self.surface.between(point.position, &self.readable)?;
         let of = |pixel: usize| Vec3::from(self.view.photograph.radiance[pixel]);
         let weighted = between.pixels.iter().zip(between.weights.to_array());
         Some(Observation {
@@ -130,7 +127,7 @@ pub fn wanted_density(
                         let distance = to_camera.length();
                         let cosine = normal.dot(to_camera) / distance;
                         // Triangles smaller than a pixel slip between the pixels' centres.
-                        let seen = shown[t] || surface.sees(&view.camera, centroid).is_some();
+                        let seen = shown[t] || surface.sees(centroid).is_some();
                         (cosine > 0.0 && seen)
                             .then(|| view.camera.focal.max_element() as f32 / distance * cosine)
                     },

@@ -7,7 +7,7 @@
 //! an edge compute the same numbers for it and leave no crack. Where the lens distorts, straight edges do not stay
 //! straight and each pixel casts a ray instead.
 
-use glam::{DMat3, DVec2, DVec3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DMat3, DVec2, DVec3, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
 use super::bvh::Occluder;
@@ -18,6 +18,8 @@ pub const NO_TRIANGLE: u32 = u32::MAX;
 
 /// Rows that one task rasterises.
 const BAND_ROWS: u32 = 32;
+/// Triangles that one task prepares.
+const BATCH: usize = 1 << 13;
 /// Depths below this fraction of the object's size do not exist: the surface would touch the lens.
 const NEAR: f64 = 1e-6;
 /// Planes that neighbours are compared by and kept for the next: more triangles than meet around a pixel.
@@ -39,6 +41,7 @@ pub struct ViewSurface {
     /// Whether the pixel and those right of it, below it and across show one piece of surface, so that what lies between
     /// their centres is shown too.
     whole: Vec<bool>,
+    projection: Projection,
 }
 
 /// A triangle ready to be rasterised: the edge functions' coefficients and the bounding box of its pixels.
@@ -164,17 +167,17 @@ fn rasterise(mesh: &Mesh, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
         .map(|p| camera.to_camera(p.as_dvec3()))
         .collect();
     let near = NEAR * f64::from(mesh.diagonal());
-    let setups: Vec<Setup> = mesh
+    let batches: Vec<Batch> = mesh
         .triangles
-        .par_iter()
+        .par_chunks(BATCH)
         .enumerate()
-        .filter_map(|(t, vertices)| {
-            Setup::new(
-                t as u32,
-                vertices.map(|v| corners[v as usize]),
-                camera,
-                near,
-            )
+        .map(|(batch, triangles)| {
+            let first = batch * BATCH;
+            let setups = (first..).zip(triangles).filter_map(|(t, vertices)| {
+                let corners = vertices.map(|v| corners[v as usize]);
+                Setup::new(t as u32, corners, camera, near)
+            });
+            Batch::new(setups.collect(), camera.height)
         })
         .collect();
     let width = camera.width as usize;
@@ -183,21 +186,63 @@ fn rasterise(mesh: &Mesh, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
     let mut depth = vec![f32::INFINITY; pixels];
     let band = width * BAND_ROWS as usize;
     if band > 0 {
-        triangle
+        let bands = triangle
             .par_chunks_mut(band)
-            .zip(depth.par_chunks_mut(band))
-            .enumerate()
-            .for_each(|(index, (triangle, depth))| {
-                let first_row = index as u32 * BAND_ROWS;
-                let last_row = first_row + BAND_ROWS;
-                for setup in &setups {
-                    if setup.rows.0 < last_row && setup.rows.1 > first_row {
-                        setup.draw(width, first_row, near, triangle, depth);
-                    }
-                }
-            });
+            .zip(depth.par_chunks_mut(band));
+        bands.enumerate().for_each(|(index, (triangle, depth))| {
+            let first_row = index as u32 * BAND_ROWS;
+            for setup in batches.iter().flat_map(|batch| batch.in_band(index)) {
+                setup.draw(width, first_row, near, triangle, depth);
+            }
+        });
     }
     (triangle, depth)
+}
+
+/// Triangles that are drawn, with those that each band of rows shows.
+struct Batch {
+    setups: Vec<Setup>,
+    /// Indices of the first band's, then those of the second, and so on.
+    listed: Vec<u32>,
+    /// Where each band's begin, and at last their number.
+    starts: Vec<u32>,
+}
+
+impl Batch {
+    /// Of triangles in an image of `height` rows.
+    fn new(setups: Vec<Setup>, height: u32) -> Self {
+        let bands_of = |setup: &Setup| {
+            let last = (setup.rows.1 - 1) / BAND_ROWS;
+            (setup.rows.0 / BAND_ROWS) as usize..=last as usize
+        };
+        let mut starts = vec![0; height.div_ceil(BAND_ROWS) as usize + 1];
+        for band in setups.iter().flat_map(bands_of) {
+            starts[band] += 1;
+        }
+        let mut total = 0;
+        for start in &mut starts {
+            total += *start;
+            *start = total;
+        }
+        // From the last to the first, so that each band's start ends up where it is and its list in order.
+        let mut listed = vec![0; total as usize];
+        for (index, setup) in setups.iter().enumerate().rev() {
+            for band in bands_of(setup) {
+                starts[band] -= 1;
+                listed[starts[band] as usize] = index as u32;
+            }
+        }
+        Self {
+            setups,
+            listed,
+            starts,
+        }
+    }
+
+    fn in_band(&self, band: usize) -> impl Iterator<Item = &Setup> {
+        let listed = &self.listed[self.starts[band] as usize..self.starts[band + 1] as usize];
+        listed.iter().map(|&index| &self.setups[index as usize])
+    }
 }
 
 /// Front-most triangle and depth per pixel of any camera, by one ray each.
@@ -268,6 +313,47 @@ impl<'a> Barycentrics<'a> {
     }
 }
 
+/// A camera ready to project many points.
+#[derive(Clone, Debug)]
+struct Projection {
+    camera: Camera,
+    /// From the world to (x z, y z, z), with x and y in pixel coordinates and z the depth, where no lens distorts.
+    straight: Option<DAffine3>,
+    /// The shorter focal length in pixels.
+    focal: f32,
+}
+
+impl Projection {
+    fn new(camera: &Camera) -> Self {
+        let straight = camera.distortion.is_none().then(|| {
+            let (focal, centre) = (camera.focal, camera.centre);
+            let to_pixels = DMat3::from_cols(
+                DVec3::X * focal.x,
+                DVec3::NEG_Y * focal.y,
+                DVec3::new(-centre.x, -centre.y, -1.0),
+            );
+            let matrix = to_pixels * camera.world_from_camera.matrix3.transpose();
+            DAffine3::from_mat3_translation(matrix, -(matrix * camera.position()))
+        });
+        Self {
+            camera: camera.clone(),
+            straight,
+            focal: camera.focal.min_element() as f32,
+        }
+    }
+
+    /// Pixel coordinates and depth; `None` behind the camera or where the model of the distortion no longer applies.
+    fn project(&self, position: Vec3) -> Option<(DVec2, f32)> {
+        if let Some(straight) = &self.straight {
+            let image = straight.transform_point3(position.as_dvec3());
+            return (image.z > 0.0).then(|| (image.truncate() / image.z, image.z as f32));
+        }
+        let in_camera = self.camera.to_camera(position.as_dvec3());
+        let at = self.camera.project_from_camera(in_camera)?;
+        Some((at, -in_camera.z as f32))
+    }
+}
+
 /// A place between four pixels' centres.
 pub(super) struct Between {
     /// Upper left, upper right, lower left and lower right.
@@ -329,6 +415,7 @@ impl ViewSurface {
             depth,
             interior: Vec::new(),
             whole: Vec::new(),
+            projection: Projection::new(camera),
         };
         surface.find_jumps(mesh, camera);
         surface
@@ -411,21 +498,15 @@ impl ViewSurface {
 
     /// Where the view shows the world point `position`, in pixel coordinates: `None` unless it is the front-most surface
     /// there and the four pixels that a bilinear look-up reads show one piece of surface.
-    pub fn sees(&self, camera: &Camera, position: Vec3) -> Option<DVec2> {
-        self.between(camera, position, &self.whole)
+    pub fn sees(&self, position: Vec3) -> Option<DVec2> {
+        self.between(position, &self.whole)
             .map(|between| between.at)
     }
 
     /// The pixels between whose centres the view shows the world point `position`; `None` unless it is the front-most surface
     /// there and the first of them is `readable`.
-    pub(super) fn between(
-        &self,
-        camera: &Camera,
-        position: Vec3,
-        readable: &[bool],
-    ) -> Option<Between> {
-        let in_camera = camera.to_camera(position.as_dvec3());
-        let at = camera.project_from_camera(in_camera)?;
+    pub(super) fn between(&self, position: Vec3, readable: &[bool]) -> Option<Between> {
+        let (at, z) = self.projection.project(position)?;
         let corner = at - 0.5;
         let last = DVec2::new(f64::from(self.width) - 1.0, f64::from(self.height) - 1.0);
         if !(corner.cmpge(DVec2::ZERO).all() && corner.cmplt(last).all()) {
@@ -446,10 +527,9 @@ impl ViewSurface {
         };
         // Inverse depth is linear across a plane's image.
         let depths = Vec4::from_array(pixels.map(|pixel| self.depth[pixel]));
-        let z = -in_camera.z as f32;
         let seen = 1.0 / between.weights.dot(depths.recip());
         let range = depths.max_element() - depths.min_element();
-        let tolerance = z / camera.focal.min_element() as f32 + 0.5 * range;
+        let tolerance = z / self.projection.focal + 0.5 * range;
         ((z - seen).abs() <= tolerance).then_some(between)
     }
 
@@ -569,21 +649,15 @@ mod tests {
                 }
                 interior += 1;
                 let point = surface.point(&mesh, &camera, x, y).unwrap();
-                let at = surface.sees(&camera, point.position);
+                let at = surface.sees(point.position);
                 assert!(
                     at.is_some_and(|at| at.distance(pixel_centre(x, y)) < 1e-2),
                     "pixel {x}, {y}"
                 );
                 let behind = camera.position().as_vec3().lerp(point.position, 1.1);
-                assert!(
-                    surface.sees(&camera, behind).is_none(),
-                    "behind pixel {x}, {y}"
-                );
+                assert!(surface.sees(behind).is_none(), "behind pixel {x}, {y}");
                 let before = camera.position().as_vec3().lerp(point.position, 0.95);
-                assert!(
-                    surface.sees(&camera, before).is_none(),
-                    "before pixel {x}, {y}"
-                );
+                assert!(surface.sees(before).is_none(), "before pixel {x}, {y}");
                 for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1), (1, 1), (-1, -1)] {
                     let q = (y as i32 + dy) * 320 + x as i32 + dx;
                     assert!(
@@ -633,7 +707,7 @@ mod tests {
                 }
             }
         }
-        assert!(surface.sees(&camera, Vec3::new(1.5, 0.0, 0.0)).is_some());
-        assert!(surface.sees(&camera, Vec3::ZERO).is_none());
+        assert!(surface.sees(Vec3::new(1.5, 0.0, 0.0)).is_some());
+        assert!(surface.sees(Vec3::ZERO).is_none());
     }
 }
