@@ -17,6 +17,7 @@ use super::cells::{Cell, Pyramid};
 use super::design::Design;
 use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
+use super::merging::merge_lamps;
 use super::model::{Brdf, SpecularModel};
 use super::observations::{Candidate, Observations, Row, Sampling, Seen};
 use super::observer::{Interim, Iteration, Observer, Stopped, go_on};
@@ -281,7 +282,8 @@ impl Solver<'_> {
             drop_unsupported(&mut state, precision);
             if watch.observer.enough() {
                 let error = settled.map_or(f64::INFINITY, |step| step.error);
-                return Ok(self.fit(&state, error));
+                let nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
+                return Ok(self.fit(&state, nodes, error));
             }
         }
         go_on(watch.observer.progress("settling the roughness", 0.8))?;
@@ -300,14 +302,15 @@ impl Solver<'_> {
         drop_unsupported_in_the_end(&mut state);
         let state = even_out(self, state, &all);
         self.report(&state, watch)?;
-        Ok(self.fit(&state, error))
+        let nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
+        let nodes = merge_lamps(self, &state, &all, nodes);
+        Ok(self.fit(&state, nodes, error))
     }
 
-    /// What a state on single nodes, or on cells where it was ended early, has found.
-    fn fit(&self, state: &State<'_>, sigma_error: f64) -> Fit {
+    /// What a state on single nodes, or on cells where it was ended early, has found, with its radiance on the nodes.
+    fn fit(&self, state: &State<'_>, mut nodes: Vec<[f32; 3]>, sigma_error: f64) -> Fit {
         let unexplained = state.unexplained_share();
         let scale = self.coarse.scale;
-        let mut nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
         for value in nodes.iter_mut().flatten() {
             *value *= scale;
         }

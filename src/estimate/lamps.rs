@@ -4,8 +4,7 @@
 //! are right and whose pattern is noise: the lobe blurs it beyond recognition. Shadows do show it. So the spikes of
 //! each compact lamp are replaced by a uniform ellipse with the same flux, centroid and second moments.
 
-use glam::{Vec2, Vec3};
-
+use super::ellipse::Ellipse;
 use crate::hemisphere::{HemisphereGrid, Lamp, find_lamps, rest};
 
 /// A lamp whose radius exceeds this many σ in the half vector keeps the shape that the rows gave it.
@@ -58,104 +57,25 @@ fn specks(
 }
 
 fn fill(grid: &HemisphereGrid, radiance: &[[f32; 3]], lamp: &Lamp, filled: &mut [[f32; 3]]) {
-    let frame = Frame::new(lamp.direction);
-    let ellipse = Ellipse::of(grid, radiance, lamp, &frame);
-    let margin = 0.5 * grid.spacing();
-    let reach = (ellipse.long + 2.0 * margin).min(1.5).cos();
-    let cover: Vec<(usize, f32)> = (0..grid.directions.len())
-        .filter(|&i| grid.directions[i].dot(lamp.direction) > reach)
-        .map(|i| {
-            (
-                i,
-                ellipse.coverage(frame.project(grid.directions[i]), margin),
-            )
-        })
-        .filter(|(_, c)| *c > 0.0)
-        .collect();
-    let total: f32 = cover.iter().map(|(_, c)| c * grid.solid_angle).sum();
-    if total <= 0.0 {
-        return;
-    }
     for &node in &lamp.nodes {
         filled[node as usize] = [0.0; 3];
     }
-    for (node, c) in cover {
-        for (value, flux) in filled[node].iter_mut().zip(lamp.flux) {
-            *value += flux * c / total;
+    add(&Ellipse::of(grid, radiance, lamp), grid, filled);
+}
+
+/// Adds an ellipse's light to radiances on the nodes.
+pub fn add(ellipse: &Ellipse, grid: &HemisphereGrid, nodes: &mut [[f32; 3]]) {
+    for (node, radiance) in ellipse.nodes(grid) {
+        for (value, own) in nodes[node].iter_mut().zip(radiance) {
+            *value += own;
         }
-    }
-}
-
-/// Tangent plane around a direction.
-struct Frame {
-    pole: Vec3,
-    x: Vec3,
-    y: Vec3,
-}
-
-impl Frame {
-    fn new(pole: Vec3) -> Self {
-        let (x, y) = pole.any_orthonormal_pair();
-        Self { pole, x, y }
-    }
-
-    /// Angles from the pole along the two axes, radians.
-    fn project(&self, d: Vec3) -> Vec2 {
-        let plane = Vec2::new(d.dot(self.x), d.dot(self.y));
-        plane.normalize_or_zero() * plane.length().atan2(d.dot(self.pole))
-    }
-}
-
-/// A uniform ellipse about the pole of a [`Frame`]: semi-axes in radians and the unit direction of the long one.
-struct Ellipse {
-    long: f32,
-    short: f32,
-    axis: Vec2,
-}
-
-impl Ellipse {
-    /// The ellipse with a lamp's second moments, never smaller than a node.
-    fn of(grid: &HemisphereGrid, radiance: &[[f32; 3]], lamp: &Lamp, frame: &Frame) -> Self {
-        let (mut xx, mut xy, mut yy, mut total) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
-        for &node in &lamp.nodes {
-            let w = f64::from(radiance[node as usize].iter().sum::<f32>());
-            let p = frame.project(grid.directions[node as usize]).as_dvec2();
-            xx += w * p.x * p.x;
-            xy += w * p.x * p.y;
-            yy += w * p.y * p.y;
-            total += w;
-        }
-        let total = total.max(f64::MIN_POSITIVE);
-        let (xx, xy, yy) = (xx / total, xy / total, yy / total);
-        let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
-        let root = half.hypot(xy);
-        let angle = 0.5 * xy.atan2(half) as f32;
-        // A uniform ellipse of semi-axis a has the variance a²/4 along it.
-        let semi_axis =
-            |variance: f64| (2.0 * variance.max(0.0).sqrt() as f32).max(0.5 * grid.spacing());
-        Self {
-            long: semi_axis(mean + root),
-            short: semi_axis(mean - root),
-            axis: Vec2::from_angle(angle),
-        }
-    }
-
-    /// Share of a node of half width `margin` at `p` that lies inside, nearly.
-    fn coverage(&self, p: Vec2, margin: f32) -> f32 {
-        let turned = Vec2::new(p.dot(self.axis), p.perp_dot(self.axis));
-        let scaled = turned / Vec2::new(self.long, self.short);
-        let distance = scaled.length();
-        let inside = if distance < 1e-6 {
-            self.short
-        } else {
-            turned.length() * (1.0 / distance - 1.0)
-        };
-        (0.5 * inside / margin + 0.5).clamp(0.0, 1.0)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
+
     use super::*;
 
     #[test]
