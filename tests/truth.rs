@@ -11,7 +11,7 @@ use command::rekindle;
 use rekindle::capture::Capture;
 use rekindle::estimate::{EstimateParams, Shortcut, Unobserved};
 use rekindle::solution::{Solution, SolutionLamp, SolveOptions, solve};
-use rekindle::synth::{Light, Material, Object, Places, Recipe, make};
+use rekindle::synth::{Lamps, Light, Material, Object, Places, Recipe, make};
 
 /// Fails unless the program refuses with status 2 and one line, which is returned.
 fn refused(arguments: &[&str]) -> String {
@@ -234,6 +234,50 @@ fn small_capture(folder: &Path, views: u32) -> Capture {
     recipe.views.supersampling = 1;
     make(&recipe, folder, &mut |_, _| ControlFlow::Continue(())).unwrap();
     Capture::load(folder).unwrap()
+}
+
+/// The lamps that are found of two which lie, or are as wide, as `change` says.
+fn lamps_of_two(folder: &Path, change: impl FnOnce(&mut Lamps)) -> Vec<SolutionLamp> {
+    let mut recipe = Recipe {
+        truth_pictures: false,
+        ..Recipe::default()
+    };
+    if let Light::Lamps(lamps) = &mut recipe.light {
+        lamps.places = Places::Spread(2);
+        change(lamps);
+    }
+    recipe.views.size = [320, 240];
+    recipe.views.supersampling = 1;
+    make(&recipe, folder, &mut |_, _| ControlFlow::Continue(())).unwrap();
+    let capture = Capture::load(folder).unwrap();
+    let options = SolveOptions {
+        estimate: EstimateParams::default(),
+        frequency: 70,
+        radius: None,
+    };
+    let solution = solve(&capture, &options, 0.0, &mut Unobserved).unwrap();
+    solution.lamps
+}
+
+#[test]
+fn a_lamp_as_wide_as_the_lobe_is_one_and_two_narrow_ones_as_far_apart_are_two() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let wide = lamps_of_two(&path("wide"), |lamps| {
+        lamps.angular_radius = 8_f32.to_radians();
+    });
+    assert_eq!(wide.len(), 2, "{wide:?}");
+    for lamp in &wide {
+        let radius = lamp.angular_radius.to_degrees();
+        assert!((radius - 8.0).abs() < 0.5, "{radius}°");
+    }
+    let narrow = lamps_of_two(&path("narrow"), |lamps| {
+        lamps.angular_radius = 0.5_f32.to_radians();
+        lamps.places = Places::Row(2, 8_f32.to_radians());
+    });
+    assert_eq!(narrow.len(), 2, "{narrow:?}");
+    let apart = narrow[0].direction.angle_between(narrow[1].direction);
+    assert!((apart.to_degrees() - 8.0).abs() < 0.5, "{apart}");
 }
 
 /// Solves a capture with some shortcuts not taken.

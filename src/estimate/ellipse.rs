@@ -190,7 +190,9 @@ mod tests {
         let lamp_of = |ellipse: &Ellipse| {
             let mut nodes = vec![[0.0; 3]; grid.directions.len()];
             let lit = ellipse.nodes(&grid);
-            lit.iter().for_each(|&(node, value)| nodes[node] = value);
+            for &(node, value) in &lit {
+                nodes[node] = value;
+            }
             let lit = lit.iter().map(|&(node, _)| node as u32);
             Lamp::new(&grid, &nodes, lit.collect()).expect("lit")
         };

@@ -25,8 +25,8 @@ use crate::math::groups::linked_groups;
 /// Parts of lamps with a larger radius, in widths of the lobe, show the lamp's own shape and not an ellipse.
 const WIDEST: f32 = 2.0;
 /// Over what the spikes leave, a round disc may leave so many times as much as several ellipses do, and a longish one less, as
-/// two lamps look like a long one: of discs of 5 to 15° radius it was 0.2 to 5.5 times as much, of narrow lamps 6 to 12° apart
-/// mostly 19 times and more, and down to 3.9 times between others. …
+/// two lamps look like a long one: of discs of 5 to 15° radius it was 0.2 to 5.5 times as much, of two narrow lamps 6 to 12°
+/// apart 19 times and more, and down to 3.9 times among twelve. …
 const MOST_RATIO: f64 = 7.0;
 /// … And one may leave so many times the noise's variance more, for each ellipse less.
 const MOST_NOISE: f64 = 20.0;
@@ -55,7 +55,7 @@ pub fn merge_lamps(
     solver: &Solver<'_>,
     state: &State<'_>,
     observations: &Observations,
-    nodes: Vec<[f32; 3]>,
+    mut nodes: Vec<[f32; 3]>,
 ) -> Vec<[f32; 3]> {
     let judge = Judge {
         solver,
@@ -68,9 +68,8 @@ pub fn merge_lamps(
     let groups = linked_groups(find_lamps(solver.grid, &nodes), near);
     let mut merged = Vec::new();
     for group in groups {
-        judge.merge(group, &mut merged);
+        judge.merge(&group, &mut merged);
     }
-    let mut nodes = nodes.clone();
     for &node in merged.iter().flat_map(|one| &one.lamp.nodes) {
         nodes[node as usize] = [0.0; 3];
     }
@@ -111,11 +110,11 @@ impl Judge<'_> {
     }
 
     /// Puts together what is one lamp: all of a group, or else of the parts that its widest gap divides it into.
-    fn merge(&self, group: Vec<Lamp>, merged: &mut Vec<Merged>) {
+    fn merge(&self, group: &[Lamp], merged: &mut Vec<Merged>) {
         if group.len() < 2 {
             return;
         }
-        if let Some(one) = self.as_one(&group) {
+        if let Some(one) = self.as_one(group) {
             merged.push(one);
             return;
         }
@@ -125,9 +124,9 @@ impl Judge<'_> {
             .collect();
         gaps.sort_by(|a, b| b.total_cmp(a));
         for gap in gaps {
-            let parts = linked_groups(group.clone(), |a, b| self.gap(a, b) < gap);
+            let parts = linked_groups(group.to_vec(), |a, b| self.gap(a, b) < gap);
             if parts.len() > 1 {
-                return parts.into_iter().for_each(|part| self.merge(part, merged));
+                return parts.iter().for_each(|part| self.merge(part, merged));
             }
         }
     }
