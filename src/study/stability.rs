@@ -133,7 +133,7 @@ fn light(base: &Recipe) -> Vec<Group> {
             "extent",
             "angular radius of two lamps, degrees",
             &pair,
-            &[0.05, 0.5, 3.0, 10.0, 30.0],
+            &[0.05, 0.5, 3.0, 5.0, 8.0, 10.0, 15.0, 30.0],
             |recipe, degrees| {
                 lamps(recipe, |lamps| {
                     lamps.angular_radius = degrees.to_radians() as f32;
