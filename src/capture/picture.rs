@@ -362,6 +362,9 @@ impl Placement {
     fn each_row(&self, samples: &FlatSamples, mut set: impl FnMut(usize, &[f32])) {
         let (width, height) = self.size;
         let columns = inside(self.offset.0, self.data_width, width);
+        if columns.is_empty() {
+            return;
+        }
         let mut values = vec![0.0; columns.len()];
         for y in inside(self.offset.1, self.data_height, height) {
             let start = y * self.data_width;
@@ -370,11 +373,9 @@ impl Placement {
                 FlatSamples::F16(all) => all[stored].convert_to_f32_slice(&mut values),
                 FlatSamples::F32(all) => values.copy_from_slice(&all[stored]),
                 FlatSamples::U32(all) => {
-                    let stored = all[stored].iter().map(|&value| value as f32);
-                    values
-                        .iter_mut()
-                        .zip(stored)
-                        .for_each(|(to, from)| *to = from);
+                    for (to, &from) in values.iter_mut().zip(&all[stored]) {
+                        *to = from as f32;
+                    }
                 }
             }
             let row = (y as i64 + self.offset.1) as usize;

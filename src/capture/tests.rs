@@ -173,6 +173,47 @@ fn data_window_is_placed_in_the_display_window() {
     }
 }
 
+/// Also where they overlap in part or not at all, to any side.
+#[test]
+fn a_moved_display_window_shows_what_lies_in_it() {
+    let original = decode("rgba_half_zip.exr").expect("original");
+    let name = b"displayWindow\0box2i\0";
+    let (width, height) = (SIZE.0 as i32, SIZE.1 as i32);
+    for (right, down) in [
+        (1, 0),
+        (-1, 2),
+        (width, 0),
+        (width + 3, -1),
+        (-width, 0),
+        (-width - 3, 0),
+        (0, height + 1),
+        (0, -height - 1),
+    ] {
+        let mut exr = bytes("rgba_half_zip.exr");
+        let at = exr.windows(name.len()).position(|w| w == name);
+        let corners = at.expect("attribute") + name.len() + 4;
+        let window = [right, down, right + width - 1, down + height - 1];
+        for (k, value) in window.into_iter().enumerate() {
+            exr[corners + 4 * k..][..4].copy_from_slice(&value.to_le_bytes());
+        }
+        let picture = Picture::decode(Path::new("moved.exr"), &exr, true, &|_| Ok(()))
+            .unwrap_or_else(|error| panic!("{right} {down}: {error}"));
+        let alpha = picture.alpha.as_ref().expect("alpha");
+        for (i, rgb) in picture.rgb.iter().enumerate() {
+            let (x, y) = (i as i32 % width + right, i as i32 / width + down);
+            let inside = (0..width).contains(&x) && (0..height).contains(&y);
+            let from = (y * width + x) as usize;
+            let there = original.alpha.as_ref().expect("alpha");
+            let expected = if inside {
+                (original.rgb[from], there[from])
+            } else {
+                ([0.0; 3], 0.0)
+            };
+            assert_eq!((*rgb, alpha[i]), expected, "moved by {right}, {down}: {i}");
+        }
+    }
+}
+
 #[test]
 fn jpeg_is_decoded_and_its_clipped_half_marked() {
     let picture = decode("rgb8.jpg").expect("jpeg");

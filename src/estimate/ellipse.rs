@@ -16,7 +16,7 @@ pub struct Ellipse {
     /// Maps the unit disc to it: symmetric, the semi-axes in radians as eigenvalues.
     shape: Mat2,
     /// Σ L ω, RGB.
-    pub flux: Vec3,
+    flux: Vec3,
 }
 
 /// Tangent plane around a direction.
@@ -138,6 +138,15 @@ impl Ellipse {
         let total: f32 = cover.iter().map(|(_, c)| c * grid.solid_angle).sum();
         let radiance = |covered: f32| (self.flux * (covered / total)).to_array();
         cover.into_iter().map(|(i, c)| (i, radiance(c))).collect()
+    }
+
+    /// Adds its light to radiances on the nodes.
+    pub fn add_to(&self, nodes: &mut [[f32; 3]], grid: &HemisphereGrid) {
+        for (node, radiance) in self.nodes(grid) {
+            for (value, own) in nodes[node].iter_mut().zip(radiance) {
+                *value += own;
+            }
+        }
     }
 }
 

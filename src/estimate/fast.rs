@@ -302,8 +302,7 @@ impl Solver<'_> {
         drop_unsupported_in_the_end(&mut state);
         let state = even_out(self, state, &all);
         self.report(&state, watch)?;
-        let nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
-        let nodes = merge_lamps(self, &state, &all, nodes);
+        let nodes = merge_lamps(self, &state, &all);
         Ok(self.fit(&state, nodes, error))
     }
 

@@ -60,16 +60,7 @@ fn fill(grid: &HemisphereGrid, radiance: &[[f32; 3]], lamp: &Lamp, filled: &mut 
     for &node in &lamp.nodes {
         filled[node as usize] = [0.0; 3];
     }
-    add(&Ellipse::of(grid, radiance, lamp), grid, filled);
-}
-
-/// Adds an ellipse's light to radiances on the nodes.
-pub fn add(ellipse: &Ellipse, grid: &HemisphereGrid, nodes: &mut [[f32; 3]]) {
-    for (node, radiance) in ellipse.nodes(grid) {
-        for (value, own) in nodes[node].iter_mut().zip(radiance) {
-            *value += own;
-        }
-    }
+    Ellipse::of(grid, radiance, lamp).add_to(filled, grid);
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@
 //! one lamp.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::Ordering;
 
 use faer::linalg::solvers::Solve;
 use faer::{Col, Mat, Side};
@@ -16,7 +17,6 @@ use super::cells::Cell;
 use super::design::Design;
 use super::ellipse::{Ellipse, PARAMETERS};
 use super::fast::Solver;
-use super::lamps::add;
 use super::observations::Observations;
 use super::state::State;
 use crate::hemisphere::{Lamp, find_lamps};
@@ -55,8 +55,8 @@ pub fn merge_lamps(
     solver: &Solver<'_>,
     state: &State<'_>,
     observations: &Observations,
-    mut nodes: Vec<[f32; 3]>,
 ) -> Vec<[f32; 3]> {
+    let mut nodes = solver.pyramid.to_nodes(&state.cells, &state.radiance);
     let judge = Judge {
         solver,
         state,
@@ -74,7 +74,7 @@ pub fn merge_lamps(
         nodes[node as usize] = [0.0; 3];
     }
     for one in &merged {
-        add(&one.ellipse, solver.grid, &mut nodes);
+        one.ellipse.add_to(&mut nodes, solver.grid);
     }
     nodes
 }
@@ -99,6 +99,10 @@ fn light(nodes: impl IntoIterator<Item = (usize, [f32; 3])>) -> Light {
 }
 
 impl Judge<'_> {
+    fn is_stopped(&self) -> bool {
+        self.solver.stop.load(Ordering::Relaxed)
+    }
+
     /// Angle between the nearest nodes of two lamps, radians.
     fn gap(&self, a: &Lamp, b: &Lamp) -> f32 {
         let direction = |&node: &u32| self.solver.grid.directions[node as usize];
@@ -111,7 +115,7 @@ impl Judge<'_> {
 
     /// Puts together what is one lamp: all of a group, or else of the parts that its widest gap divides it into.
     fn merge(&self, group: &[Lamp], merged: &mut Vec<Merged>) {
-        if group.len() < 2 {
+        if group.len() < 2 || self.is_stopped() {
             return;
         }
         if let Some(one) = self.as_one(group) {
@@ -167,12 +171,16 @@ struct Place<'a> {
     design: Design<'a>,
     /// The residuals without the spikes.
     residuals: Vec<DVec3>,
+    /// Their weighted squares.
+    squares: DVec3,
 }
 
 /// A light in the place of spikes, as strong as fits best.
 struct Shown {
     /// What it shows at the rows, at its own strength.
     values: Vec<DVec3>,
+    /// The weighted squares of that.
+    own: DVec3,
     /// Its best strength.
     factor: DVec3,
     /// Weighted squares of the residuals that it leaves.
@@ -192,18 +200,23 @@ impl<'a> Place<'a> {
             cells,
             design,
             residuals: Vec::new(),
+            squares: DVec3::ZERO,
         };
         let present = judge.state.residuals.values.iter();
         place.residuals = present
             .zip(place.shown(spikes))
             .map(|(&residual, spikes)| Vec3::from(residual).as_dvec3() + spikes)
             .collect();
+        place.squares = place.dot(&place.residuals, &place.residuals);
         place
     }
 
-    /// What a light shows at the rows.
+    /// What a light shows at the rows; nothing after a stop.
     fn shown(&self, light: &Light) -> Vec<DVec3> {
         let state = self.judge.state;
+        if self.judge.is_stopped() {
+            return vec![DVec3::ZERO; state.weights.len()];
+        }
         let of = |cell: &Cell| light.get(&cell.node).map_or([0.0; 3], Vec3::to_array);
         let radiance: Vec<[f32; 3]> = self.cells.iter().map(of).collect();
         let mut values = self.design.predict_values(&state.brdf, &radiance);
@@ -221,15 +234,17 @@ impl<'a> Place<'a> {
         rows.map(|((&a, &b), &w)| f64::from(w) * a * b).sum()
     }
 
+    /// A light in the place of the spikes.
     fn with(&self, light: &Light) -> Shown {
         let values = self.shown(light);
         let own = self
             .dot(&values, &values)
             .max(DVec3::splat(f64::MIN_POSITIVE));
         let factor = self.dot(&values, &self.residuals) / own;
-        let left = self.dot(&self.residuals, &self.residuals) - factor * factor * own;
+        let left = self.squares - factor * factor * own;
         Shown {
             values,
+            own,
             factor,
             left: left.element_sum(),
         }
@@ -264,7 +279,6 @@ impl<'a> Place<'a> {
     fn step(&self, ellipse: &Ellipse, shown: &Shown) -> Option<[f32; PARAMETERS]> {
         let grid = self.judge.solver.grid;
         let delta = DIFFERENCE * grid.spacing();
-        let own = self.dot(&shown.values, &shown.values);
         let columns: Vec<Vec<DVec3>> = (0..PARAMETERS)
             .map(|k| {
                 let mut by = [0.0; PARAMETERS];
@@ -273,7 +287,7 @@ impl<'a> Place<'a> {
                 let scale = shown.factor / f64::from(delta);
                 let pairs = changed.into_iter().zip(&shown.values);
                 let mut column: Vec<DVec3> = pairs.map(|(a, b)| scale * (a - *b)).collect();
-                let along = self.dot(&column, &shown.values) / own;
+                let along = self.dot(&column, &shown.values) / shown.own;
                 for (value, shown) in column.iter_mut().zip(&shown.values) {
                     *value -= along * *shown;
                 }

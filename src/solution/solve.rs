@@ -30,8 +30,10 @@ use crate::surface::{
 const TEXELS_PER_PIXEL: f32 = 1.0;
 /// Views that may miss a light that the initial hemisphere keeps (the n of 2.2).
 const MISSING_VIEWS: usize = 2;
-/// Views that are looked from at once: enough to keep all threads busy, few enough to be stopped between them.
+/// Views that are looked from at once, so that all threads are busy, …
 const VIEWS_AT_ONCE: usize = 4;
+/// … fewer where they have more pixels than this together, so that one may stop between them.
+const PIXELS_AT_ONCE: usize = 3_000_000;
 /// Side of a hemisphere's picture in pixels.
 const PICTURE_SIDE: u32 = 256;
 
@@ -313,6 +315,12 @@ impl Measured {
     }
 }
 
+/// How many of some views are looked from at once.
+fn at_once(views: &[View]) -> usize {
+    let pixels = views.iter().map(|view| view.photograph.usable.len()).max();
+    (PIXELS_AT_ONCE / pixels.unwrap_or(0).max(1)).clamp(1, VIEWS_AT_ONCE)
+}
+
 /// What all views see of a mesh.
 fn see(
     mesh: &Mesh,
@@ -322,7 +330,7 @@ fn see(
     stage: (&str, f32),
 ) -> Result<Vec<ViewSurface>, Stopped> {
     let mut surfaces = Vec::with_capacity(views.len());
-    for some in views.chunks(VIEWS_AT_ONCE) {
+    for some in views.chunks(at_once(views)) {
         report(observer, stage)?;
         let seen = some
             .par_iter()
@@ -377,11 +385,9 @@ fn hemispheres(
         radiance: &minimum.radiance,
     });
     let mut partials: Vec<PartialHemisphere> = Vec::with_capacity(surfaces.len());
-    for (views, surfaces) in capture
-        .views
-        .chunks(VIEWS_AT_ONCE)
-        .zip(surfaces.chunks(VIEWS_AT_ONCE))
-    {
+    let at_once = at_once(&capture.views);
+    let some = capture.views.chunks(at_once).zip(surfaces.chunks(at_once));
+    for (views, surfaces) in some {
         report(observer, HEMISPHERES)?;
         let partial = |(view, surface): (&View, &ViewSurface)| {
             let specular = SpecularImage::new(&capture.mesh, atlas, &minimum, view, surface);
