@@ -3,6 +3,7 @@
 use super::brackets::{self, Brackets, Merged, Part, Response, Settings, Table};
 use super::camera::Camera;
 use super::error::CaptureError;
+use super::isolated::isolated_pixels;
 use super::manifest::{Frame, Manifest};
 use super::mesh::Mesh;
 use super::picture::{self, Encoding, Picture};
@@ -246,6 +247,8 @@ pub struct PixelCounts {
     pub non_finite: usize,
     /// At full scale in every exposure: left out.
     pub saturated: usize,
+    /// Far brighter than all about them: left out.
+    pub isolated: usize,
     /// Negative in some channel: set to zero there.
     pub negative: usize,
 }
@@ -298,6 +301,11 @@ impl Tally {
         if let Some(list) = self.list(|counts| counts.saturated) {
             warnings.push(format!(
                 "Saturated and left out: {list}. Highlights there are lost; take shorter exposures too."
+            ));
+        }
+        if let Some(list) = self.list(|counts| counts.isolated) {
+            warnings.push(format!(
+                "Far brighter than all about them, as hot pixels are, and left out: {list}."
             ));
         }
         if self.single_srgb > 0 {
@@ -390,6 +398,11 @@ fn clean(picture: Picture, mask: Option<&Picture>) -> (Photograph, PixelCounts) 
             counts.negative += 1;
             *pixel = pixel.map(|v| v.max(0.0));
         }
+    }
+    for i in isolated_pixels(&rgb, &usable, width as usize) {
+        counts.isolated += 1;
+        usable[i] = false;
+        rgb[i] = [0.0; 3];
     }
     if let Some(coverage) = &mut coverage {
         for value in coverage {

@@ -8,6 +8,7 @@ mod demo;
 mod error;
 mod fingerprint;
 mod gltf;
+mod isolated;
 mod load;
 mod manifest;
 mod mesh;

@@ -40,6 +40,8 @@ pub struct Design<'a> {
     pub near: Option<(Vec3, f32)>,
     /// Share of each cell that each point sees.
     pub seen: SeenCells,
+    /// Whether the microfacet lobe falls off as GGX's.
+    pub long_tails: bool,
     /// Whether the rows' diffuse part has been subtracted already, so that nothing is left to eliminate.
     pub diffuse_known: bool,
     /// What may be left out.
@@ -91,7 +93,7 @@ impl Design<'_> {
 
     fn lobes(&self, brdf: &Brdf) -> CellLobes<'_> {
         let whole = !self.shortcuts.takes(Shortcut::Lobes);
-        CellLobes::new(brdf, &self.geometry, self.near, whole)
+        CellLobes::new(brdf, &self.geometry, self.near, whole, self.long_tails)
     }
 
     /// The eliminated normal equations for weights per row.

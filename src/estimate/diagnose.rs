@@ -1,9 +1,11 @@
 //! When the data can't say: no separation, no specular part, nothing that determines it.
 
-use super::fast::{CoarseFit, Fit};
+use super::fast::{CoarseFit, Fit, Solver};
+use super::misfit::Misfit;
 use super::observations::{Observations, Seen};
 use super::relief::RefinedSurface;
 use super::state::State;
+use super::suspects::{Suspect, Suspicion};
 use super::weights::median;
 use crate::capture::Capture;
 
@@ -19,9 +21,18 @@ pub const LEAST_EXPLAINED: f64 = 0.15;
 /// Relative standard error of σ past which it counts as undetermined.
 const LARGEST_RELATIVE_ERROR: f32 = 0.3;
 
-/// Part of the differences between views past which what is left is no noise: sound captures leave up to 0.15, those
-/// with the normals of a mesh decimated tenfold 0.6.
+/// Part of the differences between views that a coarse fit leaves where the mesh is too coarse: sound captures leave up to
+/// 0.14, those with the normals of a mesh decimated tenfold 0.6.
 const MOST_UNEXPLAINED: f64 = 0.35;
+
+/// Misfit past which a fit is doubted. Sound path-traced captures have none at all; normals off by 0.7° have 0.024, and σ is
+/// then 2 % off.
+const MOST_MISFIT: f64 = 0.02;
+/// Correlation of neighbouring residuals, or misfit, from which what is wrong is looked for: it costs time.
+const MIDDLING_CORRELATION: f64 = 0.05;
+
+/// Part of the misfit that turned normals have to explain for them to be named as its cause.
+const MOSTLY: f64 = 0.5;
 
 /// Part of what a coarse fit leaves on the capture's mesh that it may leave on a refined one for that to be used.
 const LEFT_ON_A_BETTER_SURFACE: f64 = 0.6;
@@ -33,6 +44,9 @@ const TURNS_PER_VIEW: usize = 20_000;
 
 /// A lobe wider than this, in radians, is no highlight: it spans most of the hemisphere.
 const WIDEST_LOBE: f32 = 0.5;
+
+/// Light that fills more than this solid angle, in steradians, is broad: a disc of 32° radius does.
+const BROAD_LIGHT: f64 = 1.0;
 
 /// Gain of the best of the roughnesses over the broadest below which none of them stands out.
 const LEAST_SHARPNESS: f64 = 0.05;
@@ -85,9 +99,11 @@ const NO_DETAIL: &str = "The lighting has no detail sharp enough to tell its own
     sky. Everything is taken as diffuse; add a lamp or photograph under light with an edge.";
 
 /// Why a coarse fit's lobe is no highlight, if it isn't: any other would do about as well, or it spans the hemisphere.
-pub fn not_sharp(coarse: &CoarseFit<'_>) -> Option<String> {
+pub fn not_sharp(solver: &Solver<'_>, coarse: &CoarseFit<'_>) -> Option<String> {
     let broad = coarse.state.brdf.sigma > WIDEST_LOBE;
-    (broad || coarse.sharpness < LEAST_SHARPNESS).then(|| NO_DETAIL.to_owned())
+    let open =
+        || coarse.state.light_extent() > BROAD_LIGHT && !solver.determines_roughness(&coarse.state);
+    (broad || coarse.sharpness < LEAST_SHARPNESS || open()).then(|| NO_DETAIL.to_owned())
 }
 
 /// Whether a coarse fit leaves so much that the normals are probably off by more than a highlight is wide: sound captures
@@ -111,16 +127,70 @@ pub fn refined(surface: &RefinedSurface) -> String {
     )
 }
 
-/// What to doubt about a fit that leaves most of the highlights unexplained.
-pub fn misfit(fit: &Fit) -> Option<String> {
-    (fit.unexplained > MOST_UNEXPLAINED).then(|| {
+/// Whether a fit leaves so much that is no noise that what is wrong should be looked for.
+pub fn is_middling(misfit: &Misfit) -> bool {
+    misfit.share > MOST_MISFIT || misfit.correlation > MIDDLING_CORRELATION
+}
+
+/// What to doubt about a fit that leaves more than noise unexplained.
+pub fn misfit(misfit: &Misfit) -> Option<String> {
+    (misfit.share > MOST_MISFIT).then(|| {
+        let share = 100.0 * misfit.share;
+        let tilt = &misfit.tilt;
+        let cause = if tilt.explained > MOSTLY {
+            ", so they are probably off. Use a mesh with the object's normals, or a smoother one."
+        } else {
+            "; the rest may be gloss that changes from place to place or is of another form, or cameras that are off."
+        };
         format!(
-            "Roughness and lights leave {:.0} % of the differences between views unexplained and are not to be trusted: the \
-             mesh's normals or the cameras are probably off by more than a highlight is wide. Use a finer mesh or one \
-             with the object's normals, and check the cameras.",
-            100.0 * fit.unexplained
+            "Roughness and lights leave {share:.0} % of the differences between views unexplained, beyond the noise, and are \
+             not to be trusted. Normals turned by about {:.1}° would explain {:.0} % of that{cause}",
+            tilt.angle.to_degrees(),
+            100.0 * tilt.explained
         )
     })
+}
+
+/// What to doubt where a changed assumption explains the photographs better; `stated` is the distance of the lights that was
+/// stated.
+pub fn suspicion(suspicion: &Suspicion, stated: Option<f32>) -> String {
+    let left = 100.0 * suspicion.leaves;
+    let (explanation, remedy) = match suspicion.suspect {
+        Suspect::Distant => (
+            format!(
+                "Distant lights explain the photographs better than lights at the stated distance of {}",
+                stated.unwrap_or(0.0)
+            ),
+            "Leave the lights' radius out, or correct it.".to_owned(),
+        ),
+        Suspect::Near(radius) => (
+            match stated {
+                Some(stated) => format!(
+                    "Lights at a distance of about {radius:.3} explain the photographs better than at the stated {stated}"
+                ),
+                None => format!(
+                    "Lights at a distance of about {radius:.3} explain the photographs better than distant ones"
+                ),
+            },
+            "Measure the lights' distance from the object's centre and state it as the radius.".to_owned(),
+        ),
+        Suspect::Encoded => (
+            "The pictures' values are probably not linear: decoded as a display's, they are explained better".to_owned(),
+            "Save the pictures with linear values, without a curve or view transform.".to_owned(),
+        ),
+        Suspect::Decoded => (
+            "The pictures' values are probably not linear: it is as if a display's curve had been taken off twice".to_owned(),
+            "Save the pictures with linear values.".to_owned(),
+        ),
+        Suspect::LongTails => (
+            "The highlights fall off more slowly than either specular model, as those of a GGX surface do".to_owned(),
+            "Dim lights beside bright ones are probably not there, and their flux belongs to these.".to_owned(),
+        ),
+    };
+    format!(
+        "{explanation} (a first look leaves {left:.0} % of what it leaves otherwise). Roughness and lights are not to be \
+         trusted. {remedy}"
+    )
 }
 
 /// What to doubt about a lobe that is narrower than the normals that one pixel shows: pixels average the highlight away, and

@@ -18,9 +18,10 @@ use super::design::Design;
 use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
 use super::merging::merge_lamps;
+use super::misfit::Misfit;
 use super::model::{Brdf, SpecularModel};
 use super::observations::{Candidate, Observations, Row, Sampling, Seen};
-use super::observer::{Interim, Iteration, Observer, Stopped, go_on};
+use super::observer::{Interim, Iteration, Observer, Stopped, Unobserved, go_on};
 use super::shortcuts::{Shortcut, Shortcuts};
 use super::spread::even_out;
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
@@ -87,8 +88,8 @@ pub struct Fit {
     pub nodes: Vec<[f32; 3]>,
     /// Standard error of σ, radians; infinite where the data do not determine it.
     pub sigma_error: f32,
-    /// Part of the differences between views that it leaves.
-    pub unexplained: f64,
+    /// What it leaves that is no noise.
+    pub misfit: Misfit,
 }
 
 /// The best fit on the coarsest cells.
@@ -150,6 +151,18 @@ pub struct Watch<'w> {
     pub observer: &'w mut dyn Observer,
 }
 
+/// Points for the coarsest cells; see [`Solver::coarse_observations`].
+fn coarse_colours(seen: &Seen<'_>, scale: Option<f32>, stop: &AtomicBool) -> Observations {
+    let sampling = Sampling {
+        candidates: COARSE_POINTS,
+        limit: COARSE_POINTS,
+        keep: &|_, _, _| true,
+        scale,
+        stop,
+    };
+    Observations::gather(seen, &sampling)
+}
+
 impl Solver<'_> {
     /// Points for the coarsest cells; `scale` is the radiance that counts as 1, if it has been chosen already.
     pub fn coarse_observations(
@@ -157,14 +170,12 @@ impl Solver<'_> {
         scale: Option<f32>,
         stop: &AtomicBool,
     ) -> Observations {
-        let sampling = Sampling {
-            candidates: COARSE_POINTS,
-            limit: COARSE_POINTS,
-            keep: &|_, _, _| true,
-            scale,
-            stop,
-        };
-        Observations::gather(seen, &sampling).to_gray()
+        coarse_colours(seen, scale, stop).to_gray()
+    }
+
+    /// [`Solver::coarse`] in colour.
+    pub fn coarse_colours(&self) -> Observations {
+        coarse_colours(&self.seen, Some(self.coarse.scale), self.stop)
     }
 
     /// The best of [`SIGMAS`] on the coarsest cells. Where another model's roughness is known, only those near it are looked
@@ -297,7 +308,8 @@ impl Solver<'_> {
                 state.sigma_step()
             }
         };
-        let error = state.settle_sigma(&step, EXACT);
+        let widened = step.clustered_error / step.error;
+        let error = widened.max(1.0) * state.settle_sigma(&step, EXACT);
         drop_satellites(&mut state);
         drop_unsupported_in_the_end(&mut state);
         let state = even_out(self, state, &all);
@@ -308,7 +320,6 @@ impl Solver<'_> {
 
     /// What a state on single nodes, or on cells where it was ended early, has found, with its radiance on the nodes.
     fn fit(&self, state: &State<'_>, mut nodes: Vec<[f32; 3]>, sigma_error: f64) -> Fit {
-        let unexplained = state.unexplained_share();
         let scale = self.coarse.scale;
         for value in nodes.iter_mut().flatten() {
             *value *= scale;
@@ -317,7 +328,7 @@ impl Solver<'_> {
             brdf: state.brdf,
             nodes: fill_compact_lamps(self.grid, state.brdf.sigma, &nodes),
             sigma_error: sigma_error as f32,
-            unexplained,
+            misfit: Misfit::of(state),
         }
     }
 
@@ -361,13 +372,30 @@ impl Solver<'_> {
         Ok(None)
     }
 
-    fn design<'s>(&'s self, observations: &'s Observations, cells: &[Cell]) -> Design<'s> {
+    /// [`Solver::improve`] without anybody told.
+    pub fn improve_quietly(
+        &self,
+        state: &mut State<'_>,
+        rounds: usize,
+        precision: Precision,
+    ) -> Result<(), Stopped> {
+        let mut watch = Watch {
+            iterations: &mut Vec::new(),
+            observer: &mut Unobserved,
+        };
+        self.improve(state, rounds, precision, &mut watch)
+            .map(|_| ())
+    }
+
+    /// A design without shadows.
+    pub fn design<'s>(&'s self, observations: &'s Observations, cells: &[Cell]) -> Design<'s> {
         Design {
             observations,
             geometry: self.pyramid.geometry(cells),
             near: self.near,
             seen: SeenCells::default(),
             diffuse_known: false,
+            long_tails: false,
             shortcuts: self.shortcuts,
             workspace: self.workspace,
             stop: self.stop,

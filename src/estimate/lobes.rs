@@ -31,6 +31,8 @@ pub struct CellLobes<'a> {
     height: Vec<f32>,
     /// Squared cosine between half vector and normal below which every lobe is taken as zero.
     least_cos_squared: f32,
+    /// Whether the microfacet lobe falls off as GGX's.
+    long_tails: bool,
 }
 
 /// Light of every cell at one surface point, one value per cell in each vector.
@@ -67,6 +69,7 @@ impl<'a> CellLobes<'a> {
         geometry: &'a CellGeometry,
         near: Option<(Vec3, f32)>,
         whole: bool,
+        long_tails: bool,
     ) -> Self {
         let variance = brdf.sigma * brdf.sigma;
         let padding = padded(geometry.spread.len()) - geometry.spread.len();
@@ -81,7 +84,7 @@ impl<'a> CellLobes<'a> {
             sigma: sigma.iter().fold(brdf.sigma, |m, &s| m.max(s)),
             ..*brdf
         };
-        let support = if whole {
+        let support = if whole || long_tails {
             std::f32::consts::FRAC_PI_2
         } else {
             widest.half_angle_support(CUTOFF)
@@ -94,6 +97,7 @@ impl<'a> CellLobes<'a> {
             sigma,
             height: inverse_variance.iter().map(|i| variance * i).collect(),
             inverse_variance,
+            long_tails,
         }
     }
 
@@ -170,14 +174,23 @@ impl<'a> CellLobes<'a> {
     ) {
         let arch = pulp::Arch::new();
         match self.brdf.model {
-            SpecularModel::Paper => arch.dispatch(RowKernel::<false> {
+            SpecularModel::Paper => arch.dispatch(RowKernel::<false, false> {
                 lobes: self,
                 terms,
                 light,
                 value,
                 by_sigma,
             }),
-            SpecularModel::Microfacet => arch.dispatch(RowKernel::<true> {
+            SpecularModel::Microfacet if self.long_tails => {
+                arch.dispatch(RowKernel::<true, true> {
+                    lobes: self,
+                    terms,
+                    light,
+                    value,
+                    by_sigma,
+                });
+            }
+            SpecularModel::Microfacet => arch.dispatch(RowKernel::<true, false> {
                 lobes: self,
                 terms,
                 light,
@@ -226,7 +239,7 @@ impl<const MICROFACET: bool> pulp::WithSimd for LightKernel<'_, MICROFACET> {
     }
 }
 
-struct RowKernel<'a, const MICROFACET: bool> {
+struct RowKernel<'a, const MICROFACET: bool, const LONG: bool> {
     lobes: &'a CellLobes<'a>,
     terms: &'a ViewTerms,
     light: &'a PointLobes,
@@ -234,7 +247,7 @@ struct RowKernel<'a, const MICROFACET: bool> {
     by_sigma: Option<&'a mut [f32]>,
 }
 
-impl<const MICROFACET: bool> pulp::WithSimd for RowKernel<'_, MICROFACET> {
+impl<const MICROFACET: bool, const LONG: bool> pulp::WithSimd for RowKernel<'_, MICROFACET, LONG> {
     type Output = ();
 
     #[inline(always)]
@@ -251,12 +264,12 @@ impl<const MICROFACET: bool> pulp::WithSimd for RowKernel<'_, MICROFACET> {
         let run = |first| Run::new(self.lobes, self.terms, self.light, first);
         for (k, value) in whole.iter_mut().enumerate() {
             let by_sigma = derivatives.as_deref_mut().map(|d| &mut d[k]);
-            run(k * RUN).write::<MICROFACET>(value, by_sigma);
+            run(k * RUN).write::<MICROFACET, LONG>(value, by_sigma);
         }
         if !rest.is_empty() {
             let (mut value, mut by_sigma) = ([0.0; RUN], [0.0; RUN]);
             let wanted = derivatives_rest.is_some().then_some(&mut by_sigma);
-            run(rest_at).write::<MICROFACET>(&mut value, wanted);
+            run(rest_at).write::<MICROFACET, LONG>(&mut value, wanted);
             rest.copy_from_slice(&value[..rest.len()]);
             if let Some(derivatives) = derivatives_rest {
                 derivatives.copy_from_slice(&by_sigma[..derivatives.len()]);
@@ -334,16 +347,16 @@ impl<'a> Run<'a> {
 
     /// Writes the values and, if they are wanted, their derivatives by σ.
     #[inline(always)]
-    fn write<const MICROFACET: bool>(
+    fn write<const MICROFACET: bool, const LONG: bool>(
         &self,
         value: &mut [f32; RUN],
         by_sigma: Option<&mut [f32; RUN]>,
     ) {
         let is_in_lobe = self.is_in_lobe();
         match by_sigma {
-            None if is_in_lobe => *value = self.values::<MICROFACET>(),
+            None if is_in_lobe => *value = self.values::<MICROFACET, LONG>(),
             Some(by_sigma) if is_in_lobe => {
-                (*value, *by_sigma) = self.derivatives::<MICROFACET>();
+                (*value, *by_sigma) = self.derivatives::<MICROFACET, LONG>();
             }
             by_sigma => {
                 *value = [0.0; RUN];
@@ -355,14 +368,14 @@ impl<'a> Run<'a> {
     }
 
     #[inline(always)]
-    fn values<const MICROFACET: bool>(&self) -> [f32; RUN] {
+    fn values<const MICROFACET: bool, const LONG: bool>(&self) -> [f32; RUN] {
         let model = const { model::<MICROFACET>() };
         let mut value = [0.0; RUN];
         for (c, value) in value.iter_mut().enumerate() {
             let facets = self
                 .terms
                 .facets(model, self.direction(c), self.cos_light[c]);
-            let density = facets.density(self.inverse_variance[c]);
+            let density = facets.density_of::<LONG>(self.inverse_variance[c]);
             *value = self.strength[c] * self.terms.scale() * density;
         }
         value
@@ -370,7 +383,7 @@ impl<'a> Run<'a> {
 
     /// The values with their derivatives by σ.
     #[inline(always)]
-    fn derivatives<const MICROFACET: bool>(&self) -> ([f32; RUN], [f32; RUN]) {
+    fn derivatives<const MICROFACET: bool, const LONG: bool>(&self) -> ([f32; RUN], [f32; RUN]) {
         let model = const { model::<MICROFACET>() };
         let log_masking_by_sigma = run(&self.light.log_masking_by_sigma, self.first);
         let height = run(&self.lobes.height, self.first);
@@ -381,12 +394,13 @@ impl<'a> Run<'a> {
                 .terms
                 .facets(model, self.direction(c), self.cos_light[c]);
             let inverse = self.inverse_variance[c];
-            value[c] = self.strength[c] * self.terms.scale() * facets.density(inverse);
+            value[c] = self.strength[c] * self.terms.scale() * facets.density_of::<LONG>(inverse);
             // dσ_blurred/dσ = σ/σ_blurred = √height; d ln(height)/dσ = 2 (1 − height)/σ.
-            let log_derivative = sigma * facets.slope_squared * inverse * inverse
-                + height[c].sqrt() * log_masking_by_sigma[c]
-                + self.terms.log_scale_by_sigma()
-                + 2.0 / sigma * (1.0 - height[c]);
+            let log_derivative =
+                sigma * facets.slope_squared * inverse * inverse * facets.fall::<LONG>(inverse)
+                    + height[c].sqrt() * log_masking_by_sigma[c]
+                    + self.terms.log_scale_by_sigma()
+                    + 2.0 / sigma * (1.0 - height[c]);
             by_sigma[c] = value[c] * log_derivative;
         }
         (value, by_sigma)

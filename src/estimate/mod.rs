@@ -15,6 +15,7 @@ mod gram;
 mod lamps;
 pub mod lobes;
 mod merging;
+pub mod misfit;
 mod model;
 pub mod observations;
 mod observer;
@@ -23,6 +24,7 @@ mod shortcuts;
 mod spread;
 mod state;
 mod support;
+mod suspects;
 mod total_variation;
 pub mod visibility;
 mod weights;
@@ -52,6 +54,7 @@ pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 use relief::Bench;
 pub use relief::RefinedSurface;
 pub use shortcuts::{LeftOut, Shortcut, ShortcutSet, Shortcuts};
+use suspects::Suspicion;
 use workspace::Workspace;
 
 /// How the minimum is sought.
@@ -137,6 +140,9 @@ pub struct Estimate {
     pub refined: Option<RefinedSurface>,
     /// How much brighter each view was found to be than the common scale on which all this holds; empty where they agree.
     pub exposures: Vec<f64>,
+    /// What it leaves of the differences between views beyond noise, as a part of them; see [`misfit`]. Nothing where there are no
+    /// lights, or they are not of the default method.
+    pub misfit: Option<f64>,
     /// What was left out.
     pub left_out: Vec<LeftOut>,
 }
@@ -154,6 +160,7 @@ impl Estimate {
             chosen_because: String::new(),
             refined: None,
             exposures: Vec::new(),
+            misfit: None,
             left_out: Vec::new(),
         }
     }
@@ -268,7 +275,7 @@ fn run(
         result.diagnostics.warnings.push(reason);
         return Ok(result);
     }
-    if let Some(reason) = diagnose::not_sharp(&coarse) {
+    if let Some(reason) = diagnose::not_sharp(&solver, &coarse) {
         result.diagnostics.warnings.push(reason);
         return Ok(result);
     }
@@ -308,7 +315,12 @@ fn run(
     };
     result.chosen_because = because;
     let ended = watch.observer.enough();
-    accept(&mut result, &seen, fit);
+    let suspicion = if !ended && diagnose::is_middling(&fit.misfit) {
+        solver.suspicion(&coarse.state)?
+    } else {
+        None
+    };
+    accept(&mut result, &solver, fit, suspicion.as_ref());
     if ended {
         let warnings = &mut result.diagnostics.warnings;
         warnings.push(diagnose::ENDED_EARLY.to_owned());
@@ -379,22 +391,35 @@ fn alternate(
 }
 
 /// Takes over a fit if the data determine it.
-fn accept(result: &mut Estimate, seen: &Seen<'_>, fit: Fit) {
+fn accept(result: &mut Estimate, solver: &Solver<'_>, fit: Fit, suspicion: Option<&Suspicion>) {
     if let Some(reason) = diagnose::undetermined(&fit) {
         result.diagnostics.warnings.push(reason);
         return;
     }
     let sigma = fit.brdf.sigma;
     let half_width = HALF_INTERVAL * fit.sigma_error;
-    let misfit = diagnose::misfit(&fit);
-    let unresolved = diagnose::unresolved(seen, &fit);
-    result.diagnostics.well_posed = misfit.is_none() && unresolved.is_none();
+    let mut interval = [sigma - half_width, sigma + half_width];
+    if let Some(suspicion) = suspicion {
+        // Under the other assumption it would be another.
+        interval = [
+            interval[0].min(suspicion.sigma),
+            interval[1].max(suspicion.sigma),
+        ];
+    }
+    let stated = solver.near.map(|(_, radius)| radius);
+    // A cause that has a name is said in place of what it leaves.
+    let misfit = match suspicion {
+        Some(suspicion) => Some(diagnose::suspicion(suspicion, stated)),
+        None => diagnose::misfit(&fit.misfit),
+    };
+    let doubts = [misfit, diagnose::unresolved(&solver.seen, &fit)];
+    result.diagnostics.well_posed = doubts.iter().all(Option::is_none);
     let refined = result.refined.as_ref().map(diagnose::refined);
-    result.diagnostics.warnings.extend(refined);
-    result.diagnostics.warnings.extend(misfit);
-    result.diagnostics.warnings.extend(unresolved);
+    let warnings = refined.into_iter().chain(doubts.into_iter().flatten());
+    result.diagnostics.warnings.extend(warnings);
+    result.misfit = Some(fit.misfit.share);
     result.diagnostics.specular_found = true;
-    result.sigma_interval95 = Some([(sigma - half_width).max(0.0), sigma + half_width]);
+    result.sigma_interval95 = Some(interval.map(|end| end.max(0.0)));
     result.brdf = Some(fit.brdf);
     result.radiance = fit.nodes;
 }

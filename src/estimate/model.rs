@@ -172,6 +172,27 @@ impl Facets {
     pub fn density(&self, inverse_variance: f32) -> f32 {
         self.factor * exp_negative(-0.5 * self.slope_squared * inverse_variance)
     }
+
+    /// [`Facets::density`], or that of GGX with the same slope width, factor × (1 + slope²/2σ²)⁻².
+    #[inline(always)]
+    pub fn density_of<const LONG: bool>(&self, inverse_variance: f32) -> f32 {
+        if LONG {
+            let base = 1.0 + 0.5 * self.slope_squared * inverse_variance;
+            self.factor / (base * base)
+        } else {
+            self.density(inverse_variance)
+        }
+    }
+
+    /// How much faster than a Gaussian's the logarithm of that density changes with σ.
+    #[inline(always)]
+    pub fn fall<const LONG: bool>(&self, inverse_variance: f32) -> f32 {
+        if LONG {
+            2.0 / (1.0 + 0.5 * self.slope_squared * inverse_variance)
+        } else {
+            1.0
+        }
+    }
 }
 
 impl ViewTerms {

@@ -280,7 +280,7 @@ fn central_difference(rows: impl Fn(f32) -> Vec<[f32; 3]>) -> Vec<[f32; 3]> {
 }
 
 /// The same points with every normal turned by `angle` towards the first or second tangent of its frame.
-fn tilted(observations: &Observations, second: bool, angle: f32) -> Observations {
+pub fn tilted(observations: &Observations, second: bool, angle: f32) -> Observations {
     let mut tilted = observations.clone();
     for point in &mut tilted.points {
         let (t1, t2) = point.normal.any_orthonormal_pair();
@@ -584,6 +584,7 @@ fn design<'o>(solver: &Solver<'o>, lamps: &Lamps, observations: &'o Observations
         near: solver.near,
         seen: SeenCells::default(),
         diffuse_known: false,
+        long_tails: false,
         shortcuts: solver.shortcuts,
         workspace: solver.workspace,
         stop: solver.stop,

@@ -46,6 +46,9 @@ pub const EXACT: Precision = Precision {
 const PROBE: f64 = 0.03;
 const MOST_PROBES: usize = 6;
 
+/// Groups of points of like normals whose pulls on σ are compared.
+const CLUSTERS: usize = 32;
+
 /// A shift of σ by less than this part of it is not worth solving the lights again.
 const NO_SHIFT: f64 = 1e-5;
 
@@ -103,6 +106,8 @@ pub struct SigmaStep {
     pub curvature: f64,
     /// Standard error of σ, radians; infinite where the rows do not determine it.
     pub error: f64,
+    /// The same with one group for many points of like normals, which misfit that they share makes larger.
+    pub clustered_error: f64,
 }
 
 impl<'a> State<'a> {
@@ -379,6 +384,21 @@ impl<'a> State<'a> {
         cells.iter().map(|&k| self.cell_flux(k)).sum()
     }
 
+    /// Solid angle that an even light of the same flux and the same mean square radiance would fill, steradians.
+    pub fn light_extent(&self) -> f64 {
+        let (mut flux, mut squares) = (0.0_f64, 0.0_f64);
+        for (radiance, &angle) in self.radiance.iter().zip(&self.design.geometry.solid_angles) {
+            let bright = f64::from(magnitude(*radiance));
+            flux += bright * f64::from(angle);
+            squares += bright * bright * f64::from(angle);
+        }
+        if squares > 0.0 {
+            flux * flux / squares
+        } else {
+            0.0
+        }
+    }
+
     /// Whether two cells lie beside each other.
     pub fn is_beside(&self, one: usize, other: usize) -> bool {
         let geometry = &self.design.geometry;
@@ -427,7 +447,8 @@ impl<'a> State<'a> {
         self.residuals.absolute_sum() / dark.max(f64::MIN_POSITIVE)
     }
 
-    fn dark_residuals(&self) -> Residuals {
+    /// What the rows show without any light.
+    pub fn dark_residuals(&self) -> Residuals {
         let none = Prediction {
             value: vec![[0.0; 3]; self.prediction.value.len()],
             by_sigma: Vec::new(),
@@ -451,12 +472,14 @@ impl<'a> State<'a> {
             slope: 0.0,
             curvature: 0.0,
             error: f64::INFINITY,
+            clustered_error: f64::INFINITY,
         };
         if self.radiance.iter().flatten().all(|&v| v <= 0.0) {
             return UNDETERMINED;
         }
         let unique = self.unexplained_derivative();
-        let (mut slope, mut curvature, mut spread) = (0.0_f64, 0.0_f64, 0.0_f64);
+        let (mut slope, mut curvature) = (0.0_f64, 0.0_f64);
+        let mut pulls = Vec::with_capacity(self.design.observations.points.len());
         for point in &self.design.observations.points {
             let mut own = 0.0_f64;
             for k in point.rows.clone() {
@@ -475,7 +498,7 @@ impl<'a> State<'a> {
                     slope += w * f64::from(d) * f64::from(r);
                 }
             }
-            spread += own * own;
+            pulls.push(own);
         }
         if curvature <= 0.0 {
             return UNDETERMINED;
@@ -484,7 +507,8 @@ impl<'a> State<'a> {
             step: slope / curvature,
             slope,
             curvature,
-            error: spread.sqrt() / curvature,
+            error: spread(&pulls, 1) / curvature,
+            clustered_error: spread(&pulls, pulls.len().div_ceil(CLUSTERS)) / curvature,
         }
     }
 
@@ -604,6 +628,14 @@ impl<'a> State<'a> {
             );
         }
     }
+}
+
+/// Root of the sum of squares of the pulls of runs of `size` points.
+fn spread(pulls: &[f64], size: usize) -> f64 {
+    let runs = pulls.chunks(size.max(1));
+    runs.map(|run| run.iter().sum::<f64>().powi(2))
+        .sum::<f64>()
+        .sqrt()
 }
 
 /// Mean of a matrix's diagonal.

@@ -367,6 +367,7 @@ fn design<'a>(observations: &'a Observations, pyramid: &Pyramid, cells: &[Cell])
         near: None,
         seen: SeenCells::default(),
         diffuse_known: false,
+        long_tails: false,
         shortcuts: &SHORTCUTS,
         workspace: &WORKSPACE,
         stop: &NEVER,

@@ -26,7 +26,7 @@ impl Residuals {
 }
 
 /// Standard deviation of a row's noise, per channel.
-fn deviation(noise: f32, detail: f32) -> f32 {
+pub fn deviation(noise: f32, detail: f32) -> f32 {
     noise.hypot(DETAIL_SHARE * detail)
 }
 

@@ -74,6 +74,10 @@ pub struct Fit {
     pub residual_rms: f64,
     /// PSNR of each view, sRGB-encoded, white at its 99.5th percentile, in dB.
     pub psnr_db_per_view: Vec<f32>,
+    /// What lights and roughness leave of the differences between views beyond noise, as a part of them; see
+    /// [`crate::estimate::misfit`]. None where there are no lights, or they are not of the default method.
+    #[serde(default)]
+    pub misfit: Option<f64>,
 }
 
 /// What a solve did not do because the capture doesn't need it.

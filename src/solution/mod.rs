@@ -319,6 +319,7 @@ impl Solution {
             fit: Fit {
                 residual_rms: finite(self.fit.residual_rms),
                 psnr_db_per_view: views.map(|&db| finite(db.into()) as f32).collect(),
+                misfit: self.fit.misfit.map(finite),
             },
             skipped: self.skipped.clone(),
             timings_s: to_map(&self.timings),

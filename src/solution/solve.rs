@@ -179,7 +179,10 @@ pub fn solve(
             warnings: warnings.concat(),
             ..found.diagnostics
         },
-        fit: summarise(&texture.fit),
+        fit: Fit {
+            misfit: found.misfit,
+            ..summarise(&texture.fit)
+        },
         skipped,
         timings: clock.stages,
         convergence: found.convergence,
@@ -474,5 +477,6 @@ fn summarise(views: &[ViewFit]) -> Fit {
     Fit {
         residual_rms: (squared / count.max(1) as f64).sqrt(),
         psnr_db_per_view: views.iter().map(|v| v.psnr_db).collect(),
+        misfit: None,
     }
 }

@@ -1,0 +1,204 @@
+//! Captures with one thing wrong: every wrong result says so and names what is wrong, and right ones are not doubted.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use exr::prelude::{read_first_rgba_layer_from_file, write_rgba_file};
+use glam::Vec3;
+use rekindle::capture::{Capture, Photograph};
+use rekindle::estimate::{EstimateParams, Unobserved};
+use rekindle::solution::{Solution, SolveOptions, solve};
+
+fn folder(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/captures")
+        .join(name)
+}
+
+fn solved(capture: &Capture) -> Solution {
+    let options = SolveOptions {
+        estimate: EstimateParams::default(),
+        frequency: 70,
+        radius: None,
+    };
+    solve(capture, &options, 0.0, &mut Unobserved).unwrap()
+}
+
+/// The solution of a capture after a change.
+fn changed(name: &str, change: impl Fn(&mut Capture)) -> Solution {
+    let mut capture = Capture::load(&folder(name)).unwrap();
+    change(&mut capture);
+    solved(&capture)
+}
+
+/// Fails unless a solution is doubted in words that hold all of some.
+fn assert_doubted(solution: &Solution, what: &str, words: &[&str]) {
+    let said = solution.diagnostics.warnings.join("\n");
+    assert!(
+        !solution.diagnostics.well_posed,
+        "{what} is trusted: {said}"
+    );
+    for word in words {
+        assert!(said.contains(word), "{what}: {said}");
+    }
+}
+
+/// Every value of every photograph, which depends on itself alone.
+fn change_pixels(capture: &mut Capture, value: impl Fn(f32) -> f32) {
+    for view in &mut capture.views {
+        let photograph = &view.photograph;
+        let radiance = photograph.radiance.iter();
+        view.photograph = Arc::new(Photograph {
+            radiance: radiance.map(|pixel| pixel.map(&value)).collect(),
+            coverage: photograph.coverage.clone(),
+            usable: photograph.usable.clone(),
+            ..**photograph
+        });
+    }
+}
+
+/// sRGB's encoding of a linear value.
+fn encoded(v: f32) -> f32 {
+    if v <= 0.003_130_8 {
+        12.92 * v
+    } else {
+        1.055 * v.powf(1.0 / 2.4) - 0.055
+    }
+}
+
+#[test]
+fn sound_captures_are_not_doubted() {
+    for name in ["spot_paper", "spot_plastic", "spot_near"] {
+        let solution = changed(name, |_| ());
+        let warnings = &solution.diagnostics.warnings;
+        assert!(solution.diagnostics.well_posed, "{name}: {warnings:?}");
+        assert!(warnings.is_empty(), "{name}: {warnings:?}");
+        let misfit = solution.fit.misfit.unwrap();
+        assert!(misfit < 0.02, "{name}: {misfit}");
+    }
+}
+
+#[test]
+fn a_wrong_distance_of_the_lights_is_named() {
+    let near = |radius| move |capture: &mut Capture| capture.light_hemisphere.radius = Some(radius);
+    let wrong = changed("spot_paper", near(5.0));
+    assert_doubted(
+        &wrong,
+        "radius 5 of distant lights",
+        &["Distant lights", "5"],
+    );
+    let wrong = changed("spot_plastic", near(20.0));
+    assert_doubted(
+        &wrong,
+        "radius 20 of distant lights",
+        &["Distant lights", "20"],
+    );
+    let wrong = changed("spot_near", |capture| {
+        let radius = &mut capture.light_hemisphere.radius;
+        *radius = radius.map(|radius| 1.2 * radius);
+    });
+    assert_doubted(
+        &wrong,
+        "a radius a fifth too large",
+        &["Lights at a distance of about"],
+    );
+    let wrong = changed("spot_near", |capture| {
+        capture.light_hemisphere.radius = None
+    });
+    assert_doubted(&wrong, "near lights as distant", &["than distant ones"]);
+}
+
+#[test]
+fn encoded_pictures_are_named() {
+    for name in ["spot_paper", "spot_plastic"] {
+        let wrong = changed(name, |capture| change_pixels(capture, encoded));
+        assert_doubted(&wrong, name, &["not linear", "decoded as a display's"]);
+        let [low, high] = wrong.sigma_interval95.unwrap();
+        let right = changed(name, |_| ()).brdf.unwrap().sigma;
+        // The interval reaches to where the decoded pictures have it.
+        let reach = 0.08 * right;
+        assert!(
+            low - reach < right && right < high + reach,
+            "{low} to {high}"
+        );
+    }
+}
+
+#[test]
+fn normals_that_are_off_are_doubted() {
+    let wrong = changed("spot_paper", |capture| {
+        for (i, normal) in capture.mesh.normals.iter_mut().enumerate() {
+            let wave = |k: f32| (k * i as f32).sin();
+            let tilt = Vec3::new(wave(12.9), wave(78.2), wave(37.7));
+            *normal = (*normal + 0.03 * tilt).normalize_or_zero();
+        }
+    });
+    assert_doubted(&wrong, "normals off by degrees", &["Normals turned by"]);
+}
+
+#[test]
+fn a_lobe_with_longer_tails_is_named() {
+    let wrong = changed("spot_ggx", |_| ());
+    assert_doubted(&wrong, "a GGX surface", &["GGX"]);
+}
+
+#[test]
+fn light_without_detail_gives_no_roughness() {
+    let solution = changed("spot_uniform", |_| ());
+    assert_doubted(&solution, "an even sky", &["no detail"]);
+    assert!(solution.brdf.is_none() && solution.lamps.is_empty());
+}
+
+#[test]
+fn hot_pixels_are_left_out_and_change_nothing() {
+    let copy = tempfile::tempdir().unwrap();
+    let source = folder("spot_paper");
+    let name = |view: usize| format!("images/view_{view:03}.exr");
+    std::fs::create_dir(copy.path().join("images")).unwrap();
+    for file in ["mesh.obj", "transforms.json"] {
+        std::fs::copy(source.join(file), copy.path().join(file)).unwrap();
+    }
+    for view in 0..6 {
+        let image = read_first_rgba_layer_from_file(
+            source.join(name(view)),
+            |size, _| vec![vec![[0.0_f32; 4]; size.width()]; size.height()],
+            |pixels, at, (r, g, b, a): (f32, f32, f32, f32)| {
+                pixels[at.y()][at.x()] = [r, g, b, a];
+            },
+        )
+        .unwrap();
+        let mut pixels = image.layer_data.channel_data.pixels;
+        // Here and there on the object, at least two apart.
+        let mut hot = 0;
+        for y in (20..220).step_by(9) {
+            let x = 110 + (y * 37 + view * 11) % 100;
+            if pixels[y][x][3] == 1.0 {
+                pixels[y][x] = pixels[y][x].map(|v| 1000.0 * v);
+                pixels[y][x][3] = 1.0;
+                hot += 1;
+            }
+        }
+        assert!(hot > 5, "too few hot pixels: {hot}");
+        let at = |x: usize, y: usize| pixels[y][x].into();
+        let size = (pixels[0].len(), pixels.len());
+        write_rgba_file(copy.path().join(name(view)), size.0, size.1, |x, y| {
+            let pixel: (f32, f32, f32, f32) = at(x, y);
+            pixel
+        })
+        .unwrap();
+    }
+    let solution = solved(&Capture::load(copy.path()).unwrap());
+    let warnings = solution.diagnostics.warnings.join("\n");
+    assert!(solution.diagnostics.well_posed, "{warnings}");
+    assert!(warnings.contains("hot pixels"), "{warnings}");
+    let usual = changed("spot_paper", |_| ());
+    let sigma = |solution: &Solution| solution.brdf.unwrap().sigma;
+    let change = sigma(&solution) / sigma(&usual) - 1.0;
+    assert!(change.abs() < 2e-3, "σ changes by {change}");
+    for (one, other) in solution.lamps.iter().zip(&usual.lamps) {
+        let off = one.direction.angle_between(other.direction).to_degrees();
+        assert!(off < 0.05, "a light moves by {off}°");
+    }
+}
