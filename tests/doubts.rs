@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use exr::prelude::{read_first_rgba_layer_from_file, write_rgba_file};
-use glam::Vec3;
+use glam::{DMat4, Vec3};
 use rekindle::capture::{Capture, Photograph};
 use rekindle::estimate::{EstimateParams, Unobserved};
 use rekindle::solution::{Solution, SolveOptions, solve};
@@ -136,6 +136,96 @@ fn normals_that_are_off_are_doubted() {
         }
     });
     assert_doubted(&wrong, "normals off by degrees", &["Normals turned by"]);
+}
+
+#[test]
+fn a_view_that_contradicts_the_others_is_named() {
+    let wrong = changed("spot_paper", |capture| {
+        // Carried about the object by half a degree.
+        let centre = capture.mesh.centre().as_dvec3();
+        let turn = DMat4::from_translation(centre)
+            * DMat4::from_rotation_y(0.5_f64.to_radians())
+            * DMat4::from_translation(-centre);
+        let camera = &mut capture.views[1].camera;
+        camera.world_from_camera = turn * camera.world_from_camera;
+    });
+    assert_doubted(&wrong, "a camera elsewhere", &["view_001.exr contradicts"]);
+}
+
+#[test]
+fn one_view_of_another_exposure_or_balance_changes_nothing() {
+    let usual = changed("spot_paper", |_| ());
+    for gain in [[4.0, 4.0, 4.0], [1.05, 1.0, 0.95]] {
+        let evened = changed("spot_paper", |capture| {
+            let photograph = &capture.views[3].photograph;
+            let brighter = |p: &[f32; 3]| std::array::from_fn(|c| p[c] * gain[c]);
+            capture.views[3].photograph = Arc::new(Photograph {
+                radiance: photograph.radiance.iter().map(brighter).collect(),
+                coverage: photograph.coverage.clone(),
+                usable: photograph.usable.clone(),
+                ..**photograph
+            });
+        });
+        assert_eq!(evened.lamps.len(), usual.lamps.len(), "{gain:?}");
+        for (one, other) in evened.lamps.iter().zip(&usual.lamps) {
+            let change = one.flux.element_sum() / other.flux.element_sum() - 1.0;
+            assert!(change.abs() < 0.01, "{gain:?}: a flux changes by {change}");
+        }
+    }
+}
+
+#[test]
+fn a_lit_background_without_alpha_stays_out_of_the_texture() {
+    let usual = changed("spot_paper", |_| ());
+    let lit = changed("spot_paper", |capture| {
+        for view in &mut capture.views {
+            let photograph = &view.photograph;
+            let coverage = photograph.coverage.as_ref().unwrap();
+            let over = |(p, cover): (&[f32; 3], &f32)| p.map(|v| v + 10.0 * (1.0 - cover));
+            view.photograph = Arc::new(Photograph {
+                radiance: photograph.radiance.iter().zip(coverage).map(over).collect(),
+                coverage: None,
+                usable: photograph.usable.clone(),
+                ..**photograph
+            });
+        }
+    });
+    assert!(lit.diagnostics.well_posed);
+    let said = lit.diagnostics.warnings.join(" ");
+    assert!(said.contains("background is not black"), "{said}");
+    let mean = |solution: &Solution| {
+        let fits = &solution.fit.psnr_db_per_view;
+        fits.iter().sum::<f32>() / fits.len() as f32
+    };
+    let loss = mean(&usual) - mean(&lit);
+    assert!(loss < 1.0, "views are reproduced worse by {loss} dB");
+    let texels = usual.diffuse.iter().flatten();
+    let brightest = texels.fold(0.0_f32, |m, &v| m.max(v));
+    let texels = lit.diffuse.iter().flatten();
+    let brightest_lit = texels.fold(0.0_f32, |m, &v| m.max(v));
+    assert!(
+        brightest_lit < 1.5 * brightest,
+        "{brightest_lit} for {brightest}"
+    );
+}
+
+#[test]
+fn a_mesh_with_holes_is_doubted() {
+    let wrong = changed("spot_paper", |capture| {
+        let mut triangles = capture.mesh.triangles.clone();
+        let mut index = 0_usize;
+        triangles.retain(|_| {
+            index += 1;
+            // A fifth of them, here and there.
+            (index * 7919) % 1000 >= 200
+        });
+        capture.mesh.triangles = triangles;
+    });
+    assert_doubted(
+        &wrong,
+        "a fifth of the triangles missing",
+        &["back of triangles", "holes"],
+    );
 }
 
 #[test]

@@ -7,7 +7,7 @@ use super::relief::RefinedSurface;
 use super::state::State;
 use super::suspects::{Suspect, Suspicion};
 use super::weights::median;
-use crate::capture::Capture;
+use crate::capture::{Capture, View};
 
 /// Fewer surface points seen by two views than this are no basis for an estimate.
 const FEWEST_POINTS: usize = 60;
@@ -151,9 +151,9 @@ pub fn misfit(misfit: &Misfit) -> Option<String> {
     })
 }
 
-/// What to doubt where a changed assumption explains the photographs better; `stated` is the distance of the lights that was
-/// stated.
-pub fn suspicion(suspicion: &Suspicion, stated: Option<f32>) -> String {
+/// What to doubt where a changed assumption explains the photographs, which are `views`, better; `stated` is the distance of
+/// the lights that was stated.
+pub fn suspicion(suspicion: &Suspicion, stated: Option<f32>, views: &[View]) -> String {
     let left = 100.0 * suspicion.leaves;
     let (explanation, remedy) = match suspicion.suspect {
         Suspect::Distant => (
@@ -181,6 +181,13 @@ pub fn suspicion(suspicion: &Suspicion, stated: Option<f32>) -> String {
         Suspect::Decoded => (
             "The pictures' values are probably not linear: it is as if a display's curve had been taken off twice".to_owned(),
             "Save the pictures with linear values.".to_owned(),
+        ),
+        Suspect::View(odd) => (
+            format!(
+                "The view {} contradicts the others, which are explained better without it",
+                views.get(odd).map_or("", |view| view.name.as_str())
+            ),
+            "Check its camera, its focus, and whether the light was the same; or leave it out.".to_owned(),
         ),
         Suspect::LongTails => (
             "The highlights fall off more slowly than either specular model, as those of a GGX surface do".to_owned(),

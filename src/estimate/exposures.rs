@@ -10,7 +10,7 @@ use faer::{Col, Mat};
 use super::observations::{Point, Row};
 use super::state::State;
 use super::weights::transmitted_share;
-use crate::math::centred;
+use crate::math::{centred, median};
 
 /// Only differences past this, or where there are any past the other, and past this many standard errors, are any.
 const LEAST: f64 = 0.003;
@@ -108,8 +108,13 @@ fn excess(state: &State<'_>, views: usize) -> Option<(Vec<f64>, Vec<f64>, f64)> 
     let half = factor.solve(&spread);
     let covariance = factor.solve(&half.transpose().to_owned());
     let errors = (0..views).map(|v| covariance[(v, v)].max(0.0).sqrt());
-    let excess: Vec<f64> = solution.iter().copied().collect();
+    let mut excess: Vec<f64> = solution.iter().copied().collect();
     let fall: f64 = excess.iter().zip(&right).map(|(a, b)| a * b).sum();
+    // The scale is that of most views, which none can move far by itself.
+    let common = median(&mut excess.clone()).unwrap_or(0.0);
+    for excess in &mut excess {
+        *excess -= common;
+    }
     Some((
         excess,
         errors.collect(),

@@ -409,7 +409,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, fit: Fit, suspicion: Optio
     let stated = solver.near.map(|(_, radius)| radius);
     // A cause that has a name is said in place of what it leaves.
     let misfit = match suspicion {
-        Some(suspicion) => Some(diagnose::suspicion(suspicion, stated)),
+        Some(suspicion) => Some(diagnose::suspicion(suspicion, stated, solver.seen.views)),
         None => diagnose::misfit(&fit.misfit),
     };
     let doubts = [misfit, diagnose::unresolved(&solver.seen, &fit)];

@@ -136,6 +136,31 @@ impl Observations {
         all
     }
 
+    /// The same without a view's rows and the points that then have fewer than two, and the places that its rows have here.
+    pub fn without_view(&self, view: usize) -> (Self, Vec<usize>) {
+        let mut without = Self {
+            scale: self.scale,
+            gray: self.gray,
+            ..Self::default()
+        };
+        let mut places = Vec::new();
+        for point in &self.points {
+            let mut kept: Vec<usize> = point.rows.clone().collect();
+            kept.retain(|&k| self.rows[k].view != view);
+            if kept.len() < 2 {
+                continue;
+            }
+            let first = without.rows.len();
+            without.rows.extend(kept.iter().map(|&k| self.rows[k]));
+            without.points.push(Point {
+                rows: first..without.rows.len(),
+                ..point.clone()
+            });
+            places.extend(kept);
+        }
+        (without, places)
+    }
+
     /// The same with each row's three channels replaced by their mean.
     #[must_use]
     pub fn to_gray(&self) -> Self {

@@ -30,6 +30,8 @@ pub enum Suspect {
     Decoded,
     /// The lobe falls off as slowly as GGX's.
     LongTails,
+    /// A view does not fit the others; its index.
+    View(usize),
 }
 
 /// An assumption with the fit that changing it gives.
@@ -56,6 +58,8 @@ const HOPELESS: f64 = 1.3;
 /// Distances tried, as multiples of the one stated, and of half the object's diagonal where none is.
 const STATED_RADII: [f32; 4] = [0.5, 0.8, 1.25, 2.0];
 const RADII: [f32; 3] = [2.0, 5.0, 12.0];
+/// With fewer views, none can be told to be the odd one.
+const FEWEST_VIEWS: usize = 4;
 /// Exponent of a display's curve.
 const DISPLAY_GAMMA: f32 = 2.2;
 
@@ -164,7 +168,69 @@ impl Solver<'_> {
                 });
             }
         }
+        if best.is_none() {
+            best = self.odd_view(fit, &stated)?;
+        }
         Ok(best)
+    }
+
+    /// The view without which the others are explained better than without any other, by more than chance.
+    fn odd_view(&self, fit: &State<'_>, stated: &Change<'_>) -> Result<Option<Suspicion>, Stopped> {
+        let views = self.seen.views.len();
+        if views < FEWEST_VIEWS {
+            return Ok(None);
+        }
+        let mut without = Vec::with_capacity(views);
+        for view in 0..views {
+            let (observations, rows) = self.coarse.without_view(view);
+            let change = Change {
+                observations: &observations,
+                ..*stated
+            };
+            let Some(state) = self.fitted(&change, fit.brdf.sigma, f64::INFINITY)? else {
+                return Ok(None);
+            };
+            without.push((self.left_in_rows(&state, &rows), state.brdf.sigma));
+        }
+        // What is left in the rows of third views is compared.
+        let third = |one: usize, other: usize, left: &[f64]| -> Vec<f64> {
+            let points = self.coarse.points.iter();
+            let of_point = |rows: std::ops::Range<usize>| -> f64 {
+                rows.filter(|&k| ![one, other].contains(&self.coarse.rows[k].view))
+                    .map(|k| left[k])
+                    .sum()
+            };
+            points.map(|point| of_point(point.rows.clone())).collect()
+        };
+        let is_odd = |view: usize| {
+            (0..views).filter(|&other| other != view).all(|other| {
+                let own = third(view, other, &without[view].0);
+                signed_ranks(&third(view, other, &without[other].0), &own) > SURE
+            })
+        };
+        let Some(odd) = (0..views).find(|&view| is_odd(view)) else {
+            return Ok(None);
+        };
+        let others = (0..views).filter(|&view| view != odd);
+        let ratio = |view: usize| {
+            let total = |of: usize| third(view, odd, &without[of].0).iter().sum::<f64>();
+            total(odd) / total(view).max(f64::MIN_POSITIVE)
+        };
+        let leaves = others.map(ratio).sum::<f64>() / (views - 1) as f64;
+        Ok(Some(Suspicion {
+            suspect: Suspect::View(odd),
+            leaves,
+            sigma: without[odd].1,
+        }))
+    }
+
+    /// What a fit to some of the coarse rows leaves in each, none where it has no row; `rows` are their places among all.
+    fn left_in_rows(&self, state: &State<'_>, rows: &[usize]) -> Vec<f64> {
+        let mut left = vec![0.0; self.coarse.rows.len()];
+        for (&k, &residual) in rows.iter().zip(&state.residuals.values) {
+            left[k] = f64::from(magnitude(residual));
+        }
+        left
     }
 
     /// All changes of what is stated; `powers` are the observations decoded and encoded.
@@ -214,8 +280,19 @@ impl Solver<'_> {
         changes
     }
 
-    /// A fit with a change on the coarsest cells; nothing where it starts by leaving more than `most`.
+    /// What a fit with a change leaves; nothing where it starts by leaving more than `most`.
     fn trial(&self, change: &Change<'_>, sigma: f32, most: f64) -> Result<Option<Trial>, Stopped> {
+        let fitted = self.fitted(change, sigma, most)?;
+        Ok(fitted.map(|state| Trial::of(&state)))
+    }
+
+    /// A fit with a change on the coarsest cells; nothing where it starts by leaving more than `most`.
+    fn fitted<'s>(
+        &'s self,
+        change: &Change<'s>,
+        sigma: f32,
+        most: f64,
+    ) -> Result<Option<State<'s>>, Stopped> {
         let roots = self.pyramid.roots();
         let mut design = self.design(change.observations, &roots);
         design.near = change.near;
@@ -234,7 +311,7 @@ impl Solver<'_> {
             return Ok(None);
         };
         self.improve_quietly(&mut state, ROUNDS, ROUGH)?;
-        Ok(Some(Trial::of(&state)))
+        Ok(Some(state))
     }
 }
 

@@ -1,6 +1,6 @@
 //! What the numbers of a report mean, and what to do about them.
 
-use super::{Finding, Report, Severity, ViewReport};
+use super::{Finding, Report, Severity, ViewReport, are_misplaced, is_seen, mean_overlap};
 
 /// Intersection over union below which silhouettes are worth a warning, and below which nothing fits.
 pub(super) const IOU_FAIR: f64 = 0.95;
@@ -25,6 +25,12 @@ impl Findings {
             advice: advice.to_owned(),
         });
     }
+
+    fn worst_first(self) -> Vec<Finding> {
+        let mut findings = self.0;
+        findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
+        findings
+    }
 }
 
 /// Judges a report; `warnings` are what loading had to say. The worst come first.
@@ -34,21 +40,33 @@ pub(super) fn judge(report: &Report, warnings: &[String]) -> Vec<Finding> {
         findings.add(Severity::Note, "input", warning.as_str(), "");
     }
     sizes(report, &mut findings);
-    if !report.is_seen() {
-        let message = "No camera sees the mesh.";
-        findings.add(Severity::Error, "mesh", message, ALIGN);
-    }
+    places(&report.views, &mut findings);
     for view in &report.views {
-        place(view, report.is_seen(), &mut findings);
         pixels(view, &mut findings);
     }
-    silhouettes(report, &mut findings);
     exposures(report, &mut findings);
     coverage(report, &mut findings);
     mesh(report, &mut findings);
-    let mut findings = findings.0;
-    findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
-    findings
+    findings.worst_first()
+}
+
+/// What is wrong with where cameras and mesh are, the worst first.
+pub(super) fn judge_places(views: &[ViewReport]) -> Vec<Finding> {
+    let mut findings = Findings::default();
+    places(views, &mut findings);
+    findings.worst_first()
+}
+
+fn places(views: &[ViewReport], findings: &mut Findings) {
+    let seen = is_seen(views);
+    if !seen {
+        let message = "No camera sees the mesh.";
+        findings.add(Severity::Error, "mesh", message, ALIGN);
+    }
+    for view in views {
+        place(view, seen, findings);
+    }
+    silhouettes(views, findings);
 }
 
 fn percent(share: f64) -> String {
@@ -163,16 +181,15 @@ fn pixels(view: &ViewReport, findings: &mut Findings) {
     }
 }
 
-fn silhouettes(report: &Report, findings: &mut Findings) {
+fn silhouettes(views: &[ViewReport], findings: &mut Findings) {
     const ADVICE: &str =
         "Check this view's matrix and intrinsics, the mesh's frame, and the mask or alpha.";
-    let known: Vec<(&ViewReport, f64)> = report
-        .views
+    let known: Vec<(&ViewReport, f64)> = views
         .iter()
         .filter(|view| view.object_pixels > 0 && !view.inside)
         .filter_map(|view| Some((view, view.silhouette_iou?)))
         .collect();
-    let advice = if report.is_misplaced() { ALIGN } else { ADVICE };
+    let advice = if are_misplaced(views) { ALIGN } else { ADVICE };
     for &(view, iou) in known.iter().filter(|(_, iou)| *iou < IOU_FAIR) {
         let severity = if iou < IOU_HOPELESS {
             Severity::Error
@@ -191,7 +208,7 @@ fn silhouettes(report: &Report, findings: &mut Findings) {
         .iter()
         .map(|(_, iou)| *iou)
         .fold(f64::INFINITY, f64::min);
-    if report.mean_overlap().is_none() {
+    if mean_overlap(views).is_none() {
         let message = "No image has alpha or a mask: what the object covers is taken from the mesh, and the two cannot be compared.";
         findings.add(
             Severity::Note,

@@ -13,7 +13,7 @@ pub use mesh::MeshReport;
 pub use thumbnail::{Thumbnail, outline};
 pub use view::ViewReport;
 
-use crate::capture::{Capture, PixelCounts};
+use crate::capture::{Capture, Mesh, PixelCounts, View};
 use crate::registration::Agreement;
 use crate::surface::{Occluder, ViewSurface};
 use rayon::prelude::*;
@@ -109,23 +109,81 @@ impl Report {
 
     /// Whether any camera sees the mesh.
     pub fn is_seen(&self) -> bool {
-        self.views.iter().any(|view| view.object_pixels > 0)
+        is_seen(&self.views)
     }
 
     /// Whether the mesh seems to be in another frame than the cameras: one view that is off is that view's fault, all are the
     /// mesh's.
     pub fn is_misplaced(&self) -> bool {
-        let mut known = self.views.iter().filter_map(|view| view.silhouette_iou);
-        let off = known.clone().count() > 1 && known.all(|iou| iou < findings::IOU_FAIR);
-        off || !self.is_seen()
+        are_misplaced(&self.views)
     }
 
     /// Mean overlap of the silhouettes over the views that tell it, if any does.
     pub fn mean_overlap(&self) -> Option<f64> {
-        let known: Vec<f64> = self.views.iter().filter_map(|v| v.silhouette_iou).collect();
-        let sum: f64 = known.iter().sum();
-        (!known.is_empty()).then(|| sum / known.len() as f64)
+        mean_overlap(&self.views)
     }
+}
+
+fn is_seen(views: &[ViewReport]) -> bool {
+    views.iter().any(|view| view.object_pixels > 0)
+}
+
+fn are_misplaced(views: &[ViewReport]) -> bool {
+    let mut known = views.iter().filter_map(|view| view.silhouette_iou);
+    let off = known.clone().count() > 1 && known.all(|iou| iou < findings::IOU_FAIR);
+    off || !is_seen(views)
+}
+
+fn mean_overlap(views: &[ViewReport]) -> Option<f64> {
+    let known: Vec<f64> = views.iter().filter_map(|v| v.silhouette_iou).collect();
+    let sum: f64 = known.iter().sum();
+    (!known.is_empty()).then(|| sum / known.len() as f64)
+}
+
+/// Why a solve's result is not to be trusted for where cameras and mesh are, in whole sentences: the findings from
+/// [`Severity::Warning`] on, each kind once with the first view that has it. One surface a view.
+pub fn misplacements(
+    views: &[View],
+    surfaces: &[ViewSurface],
+    mesh: &Mesh,
+    occluder: &Occluder,
+) -> Vec<String> {
+    let reports: Vec<ViewReport> = (views.par_iter().zip(surfaces))
+        .map(|(view, surface)| {
+            ViewReport::new(view, PixelCounts::default(), surface, mesh, occluder)
+        })
+        .collect();
+    let mut found = findings::judge_places(&reports);
+    found.retain(|finding| finding.severity >= Severity::Warning);
+    let mut kinds: Vec<(Finding, usize)> = Vec::new();
+    for finding in found {
+        match kinds
+            .iter_mut()
+            .find(|(kind, _)| kind.advice == finding.advice)
+        {
+            Some((_, times)) => *times += 1,
+            None => kinds.push((finding, 1)),
+        }
+    }
+    kinds
+        .into_iter()
+        .map(|(finding, times)| sentence(&finding, times))
+        .collect()
+}
+
+fn sentence(finding: &Finding, times: usize) -> String {
+    let others = match times {
+        1 => String::new(),
+        2 => " The same in another view.".to_owned(),
+        _ => format!(" The same in {} other views.", times - 1),
+    };
+    let Finding {
+        subject,
+        message,
+        advice,
+        ..
+    } = finding;
+    format!("{subject}: {message}{others} The result is not to be trusted. {advice}")
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@ const CAUCHY: f64 = 2.0;
 /// How much brighter a view is than the others.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exposure {
-    /// Relative to the views' geometric mean.
+    /// Relative to the views' median, which no single view can move far.
     pub factor: f64,
     /// Standard error of its logarithm.
     pub error: f64,
@@ -35,9 +35,13 @@ pub struct Exposure {
 /// Points of the surface and the views that see them.
 pub struct Agreement {
     views: usize,
-    /// Of each point, the views that see it, with the mean of its R, G and B there: zero where it is too grazing to compare
-    /// or no data.
-    points: Vec<Vec<(usize, f64)>>,
+    /// Of each point, the views that see it, with its radiance there, RGB: zero where it is too grazing to compare or no data.
+    points: Vec<Vec<(usize, [f64; 3])>>,
+}
+
+/// The mean of R, G and B.
+fn gray(radiance: [f64; 3]) -> f64 {
+    radiance.iter().sum::<f64>() / 3.0
 }
 
 impl Agreement {
@@ -66,12 +70,27 @@ impl Agreement {
     /// Relative exposure of each view, if all share enough points: least squares on the logarithms of the radiances, each
     /// point's own taken out, with weights that leave highlights alone.
     pub fn exposures(&self) -> Vec<Option<Exposure>> {
+        self.exposures_of(gray)
+    }
+
+    /// How much brighter each view is than the others in each channel, if all share enough points.
+    pub fn gains(&self) -> Option<Vec<[f64; 3]>> {
+        let channels = [0, 1, 2].map(|c| self.exposures_of(|radiance| radiance[c]));
+        let gain = |view: usize, c: usize| channels[c][view].map(|exposure| exposure.factor);
+        (0..self.views)
+            .map(|view| Some([gain(view, 0)?, gain(view, 1)?, gain(view, 2)?]))
+            .collect()
+    }
+
+    /// Exposures as one number of each radiance has them.
+    fn exposures_of(&self, number: impl Fn([f64; 3]) -> f64) -> Vec<Option<Exposure>> {
         let rows: Vec<Vec<(usize, f64)>> = self
             .points
             .iter()
             .map(|views| {
-                let compared = views.iter().filter(|(_, radiance)| *radiance > 0.0);
-                compared.map(|&(view, r)| (view, r.ln())).collect()
+                let compared = views.iter().map(|&(view, r)| (view, number(r)));
+                let compared = compared.filter(|(_, r)| *r > 0.0);
+                compared.map(|(view, r)| (view, r.ln())).collect()
             })
             .filter(|row: &Vec<_>| row.len() >= 2)
             .collect();
@@ -96,22 +115,27 @@ impl Agreement {
             return none;
         };
         let spread = scatter(&rows, &weights, &logs);
+        let common = median(&mut logs.clone()).unwrap_or(0.0);
         logs.iter()
             .zip(curvatures)
             .map(|(log, curvature)| {
                 Some(Exposure {
-                    factor: log.exp(),
+                    factor: (log - common).exp(),
                     error: spread / curvature.sqrt(),
                 })
             })
             .collect()
     }
 
-    /// The same with each view divided by how much too bright it is.
+    /// The same with each view divided by how much too bright it is in each channel.
     #[must_use]
-    pub fn evened(&self, exposures: &[f64]) -> Self {
-        let even =
-            |row: &Vec<(usize, f64)>| row.iter().map(|&(v, r)| (v, r / exposures[v])).collect();
+    pub fn evened(&self, gains: &[[f64; 3]]) -> Self {
+        let divided = |r: [f64; 3], gain: [f64; 3]| [0, 1, 2].map(|c| r[c] / gain[c]);
+        let even = |row: &Vec<(usize, [f64; 3])>| {
+            row.iter()
+                .map(|&(v, r)| (v, divided(r, gains[v])))
+                .collect()
+        };
         Self {
             views: self.views,
             points: self.points.iter().map(even).collect(),
@@ -140,9 +164,14 @@ impl Agreement {
     }
 }
 
-/// Mean deviation of a point's radiances from their median, relative to it.
-fn disagreement(views: &[(usize, f64)]) -> Option<f64> {
-    let values: Vec<f64> = views.iter().map(|v| v.1).filter(|&r| r > 0.0).collect();
+/// Mean deviation of a point's radiances from their median, relative to it, in the mean over the channels.
+fn disagreement(views: &[(usize, [f64; 3])]) -> Option<f64> {
+    let of = |c: usize| channel_disagreement(views.iter().map(|v| v.1[c]));
+    Some((of(0)? + of(1)? + of(2)?) / 3.0)
+}
+
+fn channel_disagreement(radiances: impl Iterator<Item = f64>) -> Option<f64> {
+    let values: Vec<f64> = radiances.filter(|&r| r > 0.0).collect();
     if values.len() < 2 {
         return None;
     }
@@ -219,8 +248,12 @@ fn scatter(rows: &[Vec<(usize, f64)>], weights: &[Vec<f64>], logs: &[f64]) -> f6
     (sum / f64::max(total, f64::MIN_POSITIVE)).sqrt()
 }
 
-/// The views that see a point, with the mean radiance of RGB there; zero where it is too grazing to compare or not data.
-fn seen_in(views: &[View], surfaces: &[ViewSurface], point: &SurfacePoint) -> Vec<(usize, f64)> {
+/// The views that see a point, with the radiance there, RGB; zero where it is too grazing to compare or not data.
+fn seen_in(
+    views: &[View],
+    surfaces: &[ViewSurface],
+    point: &SurfacePoint,
+) -> Vec<(usize, [f64; 3])> {
     let mut out = Vec::new();
     for (i, (view, surface)) in views.iter().zip(surfaces).enumerate() {
         let to_eye = (view.camera.position().as_vec3() - point.position).normalize_or_zero();
@@ -234,27 +267,27 @@ fn seen_in(views: &[View], surfaces: &[ViewSurface], point: &SurfacePoint) -> Ve
         let radiance = if cosine > LEAST_COSINE {
             sample(&view.photograph, at)
         } else {
-            0.0
+            [0.0; 3]
         };
         out.push((i, radiance));
     }
     out
 }
 
-/// Mean of RGB at a pixel coordinate, bilinear; zero where a pixel that it needs is no data.
-fn sample(photograph: &Photograph, at: DVec2) -> f64 {
+/// RGB at a pixel coordinate, bilinear; zero where a pixel that it needs is no data.
+fn sample(photograph: &Photograph, at: DVec2) -> [f64; 3] {
     let corner = (at - 0.5).floor();
     let part = (at - 0.5 - corner).as_vec2();
     let first = corner.y as usize * photograph.width as usize + corner.x as usize;
-    let mut sum = 0.0;
+    let mut sum = Vec3::ZERO;
     for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
         let i = first + y * photograph.width as usize + x;
         if !photograph.usable.get(i).copied().unwrap_or(false) {
-            return 0.0;
+            return [0.0; 3];
         }
         let weight = |one: bool, part: f32| if one { part } else { 1.0 - part };
         let weight = weight(x == 1, part.x) * weight(y == 1, part.y);
-        sum += weight * Vec3::from(photograph.radiance[i]).element_sum() / 3.0;
+        sum += weight * Vec3::from(photograph.radiance[i]);
     }
-    f64::from(sum)
+    sum.as_dvec3().to_array()
 }

@@ -2,6 +2,7 @@
 //! that were exposed differently, are found before anything is estimated from differences between views.
 
 mod agreement;
+mod mask;
 mod outline;
 #[cfg(test)]
 mod tests;
@@ -14,6 +15,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 pub use agreement::{Agreement, Exposure};
+pub use mask::within_outlines;
 
 use crate::capture::{Capture, Mesh, Photograph, View};
 use crate::surface::{Occluder, ViewSurface};
@@ -41,6 +43,9 @@ const LEAST_RATIO: f64 = 1.025;
 /// And unless, with the exposures evened out, the views disagree by this part at most.
 const MOST_LEFT: f64 = 0.7;
 
+/// Corrections of less than this, in percent, are not worth a word.
+const LEAST_SAID: f64 = 0.5;
+
 /// What has to be changed about a view for it to fit the others and the mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Correction {
@@ -48,6 +53,13 @@ pub struct Correction {
     pub turn_deg: [f64; 3],
     /// How much brighter the photograph is than the views' common scale.
     pub exposure: f64,
+    /// And how much more so each of its channels, RGB.
+    #[serde(default = "neutral")]
+    pub balance: [f64; 3],
+}
+
+fn neutral() -> [f64; 3] {
+    [1.0; 3]
 }
 
 impl Default for Correction {
@@ -55,6 +67,7 @@ impl Default for Correction {
         Self {
             turn_deg: [0.0; 3],
             exposure: 1.0,
+            balance: neutral(),
         }
     }
 }
@@ -63,6 +76,21 @@ impl Correction {
     /// Whether the camera is turned.
     pub fn turns(&self) -> bool {
         self.turn_deg != [0.0; 3]
+    }
+
+    /// Whether the photograph is scaled.
+    pub fn scales(&self) -> bool {
+        self.exposure != 1.0 || self.balance != neutral()
+    }
+
+    /// How much brighter the photograph is in each channel than it should be.
+    pub fn gains(&self) -> [f64; 3] {
+        self.balance.map(|balance| self.exposure * balance)
+    }
+
+    fn set_gains(&mut self, gains: [f64; 3]) {
+        self.exposure = (gains[0] * gains[1] * gains[2]).cbrt();
+        self.balance = gains.map(|gain| gain / self.exposure);
     }
 
     fn rotation(&self) -> DQuat {
@@ -75,8 +103,8 @@ impl Correction {
         if self.turns() {
             corrected.camera = outline::turned(&view.camera, self.rotation());
         }
-        if self.exposure != 1.0 {
-            let factor = self.exposure.recip() as f32;
+        if self.scales() {
+            let factors = self.gains().map(|gain| gain.recip() as f32);
             let Photograph {
                 width,
                 height,
@@ -84,7 +112,9 @@ impl Correction {
                 ref coverage,
                 ref usable,
             } = *view.photograph;
-            let scaled = radiance.par_iter().map(|p| p.map(|v| v * factor));
+            let scaled = radiance
+                .par_iter()
+                .map(|p| std::array::from_fn(|c| p[c] * factors[c]));
             corrected.photograph = Arc::new(Photograph {
                 width,
                 height,
@@ -137,17 +167,13 @@ pub fn register(
         }
         agreement = after;
     }
-    let factors: Vec<f64> = agreement
-        .exposures()
-        .iter()
-        .map(|exposure| exposure.map_or(1.0, |e| e.factor))
-        .collect();
-    let differ = |factor: &f64| factor.ln().abs() > LEAST_RATIO.ln();
-    if factors.iter().any(differ)
-        && agreement.evened(&factors).disagreement() < MOST_LEFT * agreement.disagreement()
+    let differ = |gain: &f64| gain.ln().abs() > LEAST_RATIO.ln();
+    if let Some(gains) = agreement.gains()
+        && gains.as_flattened().iter().any(differ)
+        && agreement.evened(&gains).disagreement() < MOST_LEFT * agreement.disagreement()
     {
-        for (correction, factor) in corrections.iter_mut().zip(factors) {
-            correction.exposure = factor;
+        for (correction, gains) in corrections.iter_mut().zip(gains) {
+            correction.set_gains(gains);
         }
     }
     corrections
@@ -215,14 +241,20 @@ pub fn describe(corrections: &[Correction]) -> Vec<String> {
             turns.fold(0.0, f64::max)
         ));
     }
-    let off = corrections
-        .iter()
-        .map(|c| (c.exposure.ln().abs().exp() - 1.0) * 100.0)
-        .fold(0.0, f64::max);
-    if off > 0.0 {
+    let percent = |ratio: f64| (ratio.ln().abs().exp() - 1.0) * 100.0;
+    let largest = |ratios: &mut dyn Iterator<Item = f64>| ratios.map(percent).fold(0.0, f64::max);
+    let off = largest(&mut corrections.iter().map(|c| c.exposure));
+    if off > LEAST_SAID {
         sentences.push(format!(
-            "Views are exposed differently, by up to {off:.1} % from their mean, which was evened out. Check the \
+            "Views are exposed differently, by up to {off:.1} % from what most of them are, which was evened out. Check the \
              exposures, or take them as stated (--as-stated)."
+        ));
+    }
+    let off = largest(&mut corrections.iter().flat_map(|c| c.balance));
+    if off > LEAST_SAID {
+        sentences.push(format!(
+            "Views differ in white balance, by up to {off:.1} % in a channel from what most of them have, which was evened \
+             out. Use one white balance for all, or take them as stated (--as-stated)."
         ));
     }
     sentences

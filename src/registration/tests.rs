@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use super::*;
+use crate::math::median;
 use crate::math::random::Random;
 
 /// A capture with known truth of the repository.
@@ -77,11 +78,33 @@ fn views_of_other_exposures_are_evened_out() {
     let capture = load("spot_paper");
     let factors = [1.1, 0.95, 1.0, 1.04, 0.9, 1.02];
     let brighter = evened(&capture, &factors.map(|f: f64| f.recip())).into_owned();
-    let mean = factors.iter().map(|f| f.ln()).sum::<f64>() / factors.len() as f64;
+    let most = median(&mut factors.map(f64::ln)).unwrap();
     for (found, factor) in registered(&brighter).iter().zip(factors) {
-        let off = found.exposure.ln() - (factor.ln() - mean);
+        let off = found.exposure.ln() - (factor.ln() - most);
         assert!(off.abs() < 0.003, "{found:?} for {factor}");
         assert!(!found.turns());
+    }
+}
+
+#[test]
+fn one_view_of_another_exposure_leaves_the_others_as_they_are() {
+    let capture = load("spot_paper");
+    let mut gains = [[1.0; 3]; 6];
+    gains[2] = [4.0; 3];
+    gains[4] = [1.05, 1.0, 0.95];
+    let wrong: Vec<Correction> = gains
+        .iter()
+        .map(|gain| Correction {
+            balance: gain.map(f64::recip),
+            ..Correction::default()
+        })
+        .collect();
+    let wrong = corrected(&capture, &wrong).into_owned();
+    for (found, gain) in registered(&wrong).iter().zip(gains) {
+        for (found, gain) in found.gains().iter().zip(gain) {
+            let off = (found / gain).ln();
+            assert!(off.abs() < 0.004, "{found} for {gain}");
+        }
     }
 }
 
@@ -90,16 +113,20 @@ fn what_was_corrected_is_said() {
     let found = [
         Correction {
             turn_deg: [0.0, 0.3, 0.4],
-            exposure: 1.0,
+            ..Correction::default()
         },
         Correction {
-            turn_deg: [0.0; 3],
             exposure: 0.8,
+            balance: [1.1, 1.0, 1.0],
+            ..Correction::default()
         },
     ];
     let said = describe(&found).join(" ");
     assert!(
-        said.contains("1 view") && said.contains("0.50°") && said.contains("25.0 %"),
+        said.contains("1 view")
+            && said.contains("0.50°")
+            && said.contains("25.0 %")
+            && said.contains("10.0 % in a channel"),
         "{said}"
     );
     assert!(describe(&[Correction::default()]).is_empty());

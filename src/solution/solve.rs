@@ -17,7 +17,8 @@ use crate::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
 };
 use crate::math::rounding::round_to_halves;
-use crate::registration::{Correction, corrected, describe, register};
+use crate::preflight::misplacements;
+use crate::registration::{Correction, corrected, describe, register, within_outlines};
 use crate::relight::{
     Albedo, DiffuseTexture, Interreflection, Lighting, Scene, Shader, Surroundings, TriangleShares,
     ViewFit, reconstruct, separate,
@@ -109,12 +110,21 @@ pub fn solve(
         stages: vec![("load".to_owned(), load_s)],
     };
     let mut measured = Measured::new(&stated.mesh, &stated.views, observer, SURFACE)?;
+    let given = stated;
+    let (stated, outlined) = within_outlines(given, &measured.surfaces);
+    let stated = stated.as_ref();
     let (mut capture, mut corrections) = if options.estimate.as_stated {
         (Cow::Borrowed(stated), Vec::new())
     } else {
         measured.registered(stated, observer)?
     };
     let grid = hemisphere(stated, options);
+    let misplaced = misplacements(
+        &capture.views,
+        &measured.surfaces,
+        &stated.mesh,
+        &measured.occluder,
+    );
     clock.lap("surface");
 
     let (pictures, mut minimum) = hemispheres(&capture, &measured, &grid, observer)?;
@@ -158,14 +168,16 @@ pub fn solve(
     skipped.left_out.extend(shortcuts.counted());
     round_to_halves(&mut texture.confidence);
     let warnings = [
-        stated.warnings.clone(),
+        given.warnings.clone(),
+        outlined.into_iter().collect(),
         describe(&corrections),
         atlas.warnings.clone(),
+        misplaced.clone(),
         found.diagnostics.warnings,
     ];
     Ok(Solution {
         name: stated.name.clone(),
-        origin: origin(stated, options),
+        origin: origin(given, options),
         method: found.method,
         brdf: found.brdf,
         chosen_because: found.chosen_because,
@@ -176,6 +188,7 @@ pub fn solve(
         lamps,
         ambient: albedo.ambient,
         diagnostics: Diagnostics {
+            well_posed: found.diagnostics.well_posed && misplaced.is_empty(),
             warnings: warnings.concat(),
             ..found.diagnostics
         },
@@ -448,7 +461,7 @@ fn skipped(found: &Estimate, corrections: &[Correction]) -> Skipped {
             "looking again with cameras turned: outlines fit, or are taken as stated",
         ),
         (
-            corrections.iter().any(|c| c.exposure != 1.0),
+            corrections.iter().any(Correction::scales),
             "solving again with exposures evened out: the views agree, or are taken as stated",
         ),
         (
