@@ -27,7 +27,7 @@ const MOST_DENSE: u32 = 20;
 pub(super) struct SolveArgs {
     /// Folder of the capture, or its transforms.json
     capture: PathBuf,
-    /// Folder for the solution; one that is there already is replaced at the end
+    /// Folder for the solution; one that is there already is replaced at the end, if nothing else is in its folder
     #[arg(short, long, value_name = "SOLUTION")]
     output: PathBuf,
     #[command(flatten)]

@@ -157,3 +157,62 @@ fn refuse_input(
         None => Ok(()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn advice_fits_the_cause() {
+        use io::ErrorKind as Kind;
+        let said = |kind: Kind| cannot_write(Path::new("out"))(kind.into()).to_string();
+        for kind in [
+            Kind::PermissionDenied,
+            Kind::ReadOnlyFilesystem,
+            Kind::NotADirectory,
+            Kind::InvalidInput,
+            Kind::NotFound,
+        ] {
+            assert!(!said(kind).contains("space"), "{}", said(kind));
+        }
+        for kind in [Kind::StorageFull, Kind::FileTooLarge] {
+            assert!(said(kind).contains("space"), "{}", said(kind));
+        }
+        assert!(said(Kind::InvalidInput).ends_with("name the folder itself"));
+    }
+
+    #[test]
+    fn what_is_read_is_known_by_any_path() {
+        let folder = tempfile::tempdir().unwrap();
+        let pictures = folder.path().join("pictures");
+        fs::create_dir(&pictures).unwrap();
+        let table = pictures.join("weights.csv");
+        fs::write(&table, "x").unwrap();
+        let inputs = [folder.path().join("pictures/../pictures/weights.csv")];
+        let written = |name: &'static str| check_overwrites_no_input(&pictures, [name], &inputs);
+        assert!(written("weights.csv").is_err());
+        assert!(written("frames.json").is_ok());
+        for (replaced, allowed) in [("pictures", false), (".", false), ("elsewhere", true)] {
+            let held = check_holds_no_input(&folder.path().join(replaced), &inputs);
+            assert_eq!(held.is_ok(), allowed, "{replaced}");
+        }
+    }
+
+    #[test]
+    fn long_lists_of_what_is_in_the_way_are_cut() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a", "b", "c", "d", "e", "own"] {
+            fs::write(folder.path().join(name), "x").unwrap();
+        }
+        let owned = Some(["own", "gone"].into_iter().collect());
+        let error = check_owned(folder.path(), owned, "a solution").unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains("holds a, b, c and 2 more, which"),
+            "{error}"
+        );
+    }
+}

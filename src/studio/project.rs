@@ -275,8 +275,10 @@ impl Snapshot {
     }
 }
 
-/// Writes a file whole: aside, then renamed.
+/// Writes a file whole: aside, then renamed. A link is followed.
 fn write_whole(path: &Path, contents: &[u8]) -> io::Result<()> {
+    let real = path.canonicalize();
+    let path = real.as_deref().unwrap_or(path);
     let folder = parent(path);
     fs::create_dir_all(folder)?;
     let mut aside = tempfile::Builder::new()
