@@ -264,12 +264,102 @@ fn destinations() {
     bench.refuses(&solve("thesis.tex/a/b"), &["thesis.tex is not a folder"]);
     bench.refuses(
         &solve("capture"),
-        &["capture: exists and is not a solution"],
+        &["capture: capture/transforms.json is read and would be lost"],
     );
     let cameras = "capture/transforms.json";
     let render = |output| ["render", "solution", "--cameras", cameras, "-o", output];
     bench.refuses(&render("thesis.tex"), &["thesis.tex: is not a folder"]);
     bench.refuses(&render("thesis.tex/a"), &["thesis.tex/a: can't be written"]);
+}
+
+#[test]
+fn what_others_put_there_is_never_lost() {
+    let bench = Bench::new();
+    bench.solve();
+    let again = ["--frequency", "20", "--do-all", "unchanged"];
+    let solve = |output| [&["solve", "capture", "-o", output], &again[..]].concat();
+    fs::create_dir(bench.path("solution/paintings")).unwrap();
+    bench.write("solution/notes.txt", "x");
+    let told = ["solution: holds notes.txt, paintings, which"];
+    bench.refuses(&solve("solution"), &told);
+    assert!(bench.path("solution/notes.txt").exists());
+    assert!(bench.path("solution/paintings").exists());
+    fs::create_dir(bench.path("chemistry")).unwrap();
+    bench.write("chemistry/solution.json", "{\"acid\": 1}");
+    let foreign = ["chemistry: exists and is not a solution"];
+    bench.refuses(&solve("chemistry"), &foreign);
+    // A truth from elsewhere does not make a capture one of ours.
+    fs::create_dir(bench.path("capture/truth")).unwrap();
+    bench.write("capture/truth/truth.json", "{}");
+    let synth = ["synth", "-o", "capture", "--views", "2", "--size", "32x24"];
+    bench.refuses(&synth, &["capture: exists and is not a capture that"]);
+    assert!(bench.path("capture/images/view_005.exr").exists());
+}
+
+#[test]
+fn what_is_read_is_never_lost() {
+    let bench = Bench::new();
+    bench.solve();
+    let solve = |output| ["solve", "capture", "-o", output];
+    let manifest = ["transforms.json is read and would be lost"];
+    bench.refuses(&solve("solution/../capture"), &manifest);
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink("capture", bench.path("link")).unwrap();
+        bench.refuses(&solve("link"), &manifest);
+        bench.refuses(&["solve", "link", "-o", "capture"], &manifest);
+    }
+    let inner = bench.path("solution/capture");
+    fs::rename(bench.path("capture"), &inner).unwrap();
+    bench.refuses(&["solve", "solution/capture", "-o", "solution"], &manifest);
+    fs::rename(&inner, bench.path("capture")).unwrap();
+
+    let cameras = "capture/transforms.json";
+    let render = |output| ["render", "solution", "--cameras", cameras, "-o", output];
+    let photograph = ["capture/images/view_000.exr is read and would be lost"];
+    bench.refuses(&render("capture/images"), &photograph);
+    bench.refuses(&render("solution"), &["solution: is the solution itself"]);
+    bench.refuses(&["export", "solution", "-o", "solution"], &["solution: is"]);
+    let align = ["align", "capture", "-o", "capture/mesh.obj", "--from-here"];
+    bench.refuses(&align, &["capture/mesh.obj is read and would be lost"]);
+    bench.change_manifest(|m| m["mesh_path"] = json!("../solution/mesh.obj"));
+    let mesh = ["solution/mesh.obj is read and would be lost"];
+    bench.refuses(&solve("solution"), &mesh);
+    assert!(bench.run(&["info", "solution"]).status.success());
+}
+
+#[test]
+fn what_a_killed_run_left_is_mentioned_once() {
+    let bench = Bench::new();
+    bench.solve();
+    let before = bench.names();
+    let solve = |more: &[&str]| {
+        let run = Command::new(env!("CARGO_BIN_EXE_rekindle"))
+            .args(["solve", "capture", "-o", "solution", "--frequency", "20"])
+            .args(more)
+            .current_dir(bench.folder.path())
+            .output()
+            .unwrap();
+        assert!(run.status.success());
+        let printed = String::from_utf8(run.stdout).unwrap();
+        assert!(!printed.contains("interrupted"), "{printed}");
+        let said = String::from_utf8(run.stderr).unwrap();
+        said.matches("interrupted").count()
+    };
+    for (more, expected) in [(&[][..], 1), (&["--json"], 1), (&["--quiet"], 0)] {
+        fs::create_dir(bench.path(".solution.unfinished-17")).unwrap();
+        bench.write(".solution.unfinished-17/half", "x");
+        assert_eq!(solve(more), expected);
+        assert_eq!(bench.names(), before);
+        assert_eq!(solve(more), 0);
+    }
+    fs::rename(
+        bench.path("solution"),
+        bench.path(".solution.unfinished-17-old"),
+    )
+    .unwrap();
+    assert_eq!(solve(&[]), 1, "put back");
+    assert_eq!(bench.names(), before);
 }
 
 /// A limit on the size of files fails like a full disk: in the middle of writing.

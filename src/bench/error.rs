@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use crate::capture::CaptureError;
 use crate::relight::EditError;
+use crate::solution::write_advice;
 
 /// Why a comparison can't be made.
 #[derive(Debug, Error)]
@@ -35,9 +36,7 @@ pub enum BenchError {
     #[error(transparent)]
     Edit(#[from] EditError),
     /// Writing failed.
-    #[error(
-        "{path}: can't be written: {source}; choose an output folder you may write to, on a disk with space left"
-    )]
+    #[error("{path}: can't be written: {source}; {}", write_advice(.source))]
     Write {
         /// The folder.
         path: PathBuf,

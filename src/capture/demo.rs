@@ -39,6 +39,11 @@ const FILES: [(&str, &[u8]); 8] = [
     ),
 ];
 
+/// Names of the built-in capture's files.
+pub fn demo_names() -> impl Iterator<Item = &'static str> {
+    FILES.iter().map(|(name, _)| *name)
+}
+
 /// Writes the built-in capture's files into a folder, which is made.
 pub fn unpack_demo(folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder.join("images"))?;

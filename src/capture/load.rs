@@ -104,6 +104,22 @@ impl Capture {
     }
 }
 
+/// What is read of a capture, or of a file with cameras: the manifest, the photographs, masks and mesh that it names, and the
+/// path itself. Only the manifest is read.
+pub fn input_files(path: &Path) -> Result<Vec<PathBuf>, CaptureError> {
+    let manifest = Manifest::read(path)?;
+    let mut files = vec![manifest.path.clone()];
+    for frame in manifest.frames {
+        files.extend(frame.exposures.into_iter().map(|exposure| exposure.path));
+        files.extend(frame.mask);
+    }
+    // Cameras may have no mesh; a capture's that is missing is said when it is loaded.
+    let mesh_path = manifest.mesh_path.as_deref();
+    files.extend(mesh_file::find(&manifest.folder, mesh_path, &manifest.path));
+    files.push(path.to_owned());
+    Ok(files)
+}
+
 /// Reads only the cameras of a `transforms.json`, with the frames' names, for rendering from them. Image sizes come
 /// from the manifest or else from the images' headers.
 pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, CaptureError> {

@@ -30,9 +30,9 @@ pub use brackets::{
     Shot,
 };
 pub use camera::{Camera, Distortion};
-pub use demo::{DEMO, unpack_demo};
+pub use demo::{DEMO, demo_names, unpack_demo};
 pub use error::CaptureError;
-pub use load::{Covered, PixelCounts, read_cameras, read_covered, read_radiance};
+pub use load::{Covered, PixelCounts, input_files, read_cameras, read_covered, read_radiance};
 pub use mesh::{Mesh, SurfacePoint};
 pub use write_cameras::{camera_matrix, transforms};
 

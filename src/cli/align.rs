@@ -9,10 +9,13 @@ use serde_json::{Value, json};
 
 use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
+use super::render::check_output;
 use super::{OutputArgs, print_json, print_line};
 use crate::align::{AlignError, Alignment, Similarity, Start, align, read_points};
-use crate::capture::Capture;
-use crate::solution::{manifest_of, write_mesh_transform, write_placed_mesh};
+use crate::capture::{Capture, input_files};
+use crate::solution::{
+    cannot_write, check_overwrites_no_input, manifest_of, write_mesh_transform, write_placed_mesh,
+};
 
 /// Overlap below which the result is not to be trusted.
 const DOUBTFUL: f64 = 0.9;
@@ -52,7 +55,9 @@ pub(super) fn run(args: &AlignArgs, output: OutputArgs) -> anyhow::Result<()> {
             args.capture.display()
         );
     }
+    let settled = check_written(args, manifest.as_deref())?;
     let mut progress = Progress::new(output);
+    progress.warn_all(&settled);
     progress.stage("reading the capture", 0.0);
     let (capture, _) = Capture::load_unplaced(&args.capture)?;
     let points = match &args.points {
@@ -98,19 +103,43 @@ pub(super) fn run(args: &AlignArgs, output: OutputArgs) -> anyhow::Result<()> {
     match (&args.output, manifest) {
         _ if args.dry_run => {}
         (Some(path), _) => {
-            write_placed_mesh(path, &alignment.transform.moved(&capture.mesh)).with_context(
-                || format!("{}: can't be written; choose another file", path.display()),
-            )?;
+            write_placed_mesh(path, &alignment.transform.moved(&capture.mesh))
+                .map_err(cannot_write(path))?;
         }
         (None, Some(path)) => {
             write_mesh_transform(&path, &alignment.transform.matrix())
-                .with_context(|| format!("{}: can't be written; choose -o FILE", path.display()))?;
+                .map_err(cannot_write(&path))?;
         }
         (None, None) => {}
     }
     progress.finish();
     report(&capture, &alignment, output);
     Ok(())
+}
+
+/// Fails where the result can't be written or would replace a file that is read, so that this is known before any work is
+/// done. Returns what runs that were killed had left there and what became of it, in whole sentences.
+fn check_written(args: &AlignArgs, manifest: Option<&Path>) -> anyhow::Result<Vec<String>> {
+    let Some(file) = args.output.as_deref().or(manifest) else {
+        return Ok(Vec::new());
+    };
+    if args.dry_run {
+        return Ok(Vec::new());
+    }
+    let (Some(folder), Some(name)) = (file.parent(), file.file_name()) else {
+        bail!("{}: is not a file's name; name a file", file.display());
+    };
+    if args.output.is_some() {
+        let mut inputs = input_files(&args.capture)?;
+        inputs.extend(args.pairs.iter().chain(&args.points).cloned());
+        let name = name.to_string_lossy();
+        check_overwrites_no_input(folder, [name.as_ref()], &inputs)?;
+    }
+    check_output(if folder.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        folder
+    })
 }
 
 /// Lines of six numbers.

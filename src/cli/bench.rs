@@ -3,15 +3,13 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
-
 use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
-use super::render::{cannot_write, check_output};
+use super::render::check_output;
 use super::solve::MethodArg;
 use super::{OutputArgs, print_json, print_line};
 use crate::bench::{Audience, BenchError, Plan, run as compare};
-use crate::solution::Staging;
+use crate::solution::{Staging, cannot_write};
 
 /// Arguments of `rekindle bench`.
 #[derive(clap::Args)]
@@ -49,7 +47,7 @@ impl Audience for Progress {
 }
 
 pub(super) fn run(args: &BenchArgs, output: OutputArgs) -> anyhow::Result<()> {
-    check_output(&args.output)?;
+    let settled = check_output(&args.output)?;
     let mut methods: Vec<_> = Vec::new();
     for method in args.methods.iter().map(|method| method.method()) {
         if !methods.contains(&method) {
@@ -63,12 +61,13 @@ pub(super) fn run(args: &BenchArgs, output: OutputArgs) -> anyhow::Result<()> {
         frequency: args.frequency,
     };
     let mut progress = Progress::new(output);
+    progress.warn_all(&settled);
     let report = match compare(&plan, &mut progress) {
         Err(BenchError::Stopped) => return Err(Interrupted.into()),
         other => other?,
     };
     interrupt::check()?;
-    let staging = Staging::beside(&args.output).with_context(|| cannot_write(&args.output))?;
+    let staging = Staging::within(&args.output).map_err(cannot_write(&args.output))?;
     written(staging, &args.output, &progress, output, |folder| {
         report.write(folder)
     })
@@ -82,8 +81,8 @@ pub(super) fn written(
     output: OutputArgs,
     write: impl FnOnce(&Path) -> io::Result<Vec<String>>,
 ) -> anyhow::Result<()> {
-    let files = write(staging.path()).with_context(|| cannot_write(folder))?;
-    staging.add().with_context(|| cannot_write(folder))?;
+    let files = write(staging.path()).map_err(cannot_write(folder))?;
+    staging.add().map_err(cannot_write(folder))?;
     progress.finish();
     if output.json {
         let files: Vec<_> = files.iter().map(|file| folder.join(file)).collect();

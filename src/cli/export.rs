@@ -6,7 +6,7 @@ use anyhow::bail;
 
 use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
-use super::render::check_output;
+use super::render::{check_apart, check_output};
 use super::{OutputArgs, print_json, print_line};
 use crate::capture::read_cameras;
 use crate::interchange::{
@@ -89,8 +89,10 @@ impl GaugeArgs {
 
 pub(super) fn run(args: &ExportArgs, output: OutputArgs) -> anyhow::Result<()> {
     let anchor = args.gauge.anchor()?;
-    check_output(&args.output)?;
+    check_apart(&args.output, &args.solution)?;
+    let settled = check_output(&args.output)?;
     let mut progress = Progress::new(output);
+    progress.warn_all(&settled);
     progress.stage("reading the solution", 0.0);
     let solution = Solution::load(solution_folder(&args.solution))?;
     let edits = match &args.edits {

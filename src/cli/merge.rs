@@ -5,15 +5,22 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use serde_json::{Value, json};
 
 use super::interrupt;
 use super::progress::Progress;
-use super::render::{cannot_write, check_output};
+use super::render::check_output;
 use super::{OutputArgs, print_json, print_line};
 use crate::capture::{Group, KNOTS, MergedPhoto, Origin, Photos, Response};
-use crate::solution::{Staging, write_rgb, write_rgba};
+use crate::solution::{Staging, cannot_write, check_overwrites_no_input, write_rgb, write_rgba};
+
+/// Files that tell how the pictures were merged.
+const REPORTS: [&str; 4] = [
+    "response.json",
+    "response.csv",
+    "weights.csv",
+    "frames.json",
+];
 
 /// Arguments of `rekindle merge`.
 #[derive(clap::Args)]
@@ -31,14 +38,16 @@ pub(super) struct MergeArgs {
 }
 
 pub(super) fn run(args: &MergeArgs, output: OutputArgs) -> anyhow::Result<()> {
-    check_output(&args.output)?;
+    let settled = check_output(&args.output)?;
     let mut progress = Progress::new(output);
+    progress.warn_all(&settled);
     progress.stage("reading exposures", 0.0);
     let photos = Photos::find(&args.photographs, args.exposures.as_deref())?;
+    check_inputs(args, &photos)?;
     interrupt::check()?;
     progress.stage("recovering the camera's response", 0.02);
     let response = photos.response()?;
-    let staging = Staging::within(&args.output).with_context(|| cannot_write(&args.output))?;
+    let staging = Staging::within(&args.output).map_err(cannot_write(&args.output))?;
     let mut views = Vec::with_capacity(photos.groups.len());
     for (i, group) in photos.groups.iter().enumerate() {
         interrupt::check()?;
@@ -48,14 +57,13 @@ pub(super) fn run(args: &MergeArgs, output: OutputArgs) -> anyhow::Result<()> {
         for warning in &merged.warnings {
             progress.warn(warning);
         }
-        write_picture(staging.path(), &group.name, &merged)
-            .with_context(|| cannot_write(&args.output))?;
+        write_picture(staging.path(), &group.name, &merged).map_err(cannot_write(&args.output))?;
         views.push(view(group, &merged));
     }
     interrupt::check()?;
     write_reports(staging.path(), &response, &views)
         .and_then(|()| staging.add())
-        .with_context(|| cannot_write(&args.output))?;
+        .map_err(cannot_write(&args.output))?;
     progress.finish();
     if output.json {
         print_json(&json!({ "folder": args.output, "response": response, "views": views }));
@@ -63,6 +71,18 @@ pub(super) fn run(args: &MergeArgs, output: OutputArgs) -> anyhow::Result<()> {
         print_text(&args.output, &response, &views);
     }
     Ok(())
+}
+
+/// Fails where merged pictures or reports would be written over what is merged.
+fn check_inputs(args: &MergeArgs, photos: &Photos) -> anyhow::Result<()> {
+    let groups = &photos.groups;
+    let photos = groups.iter().flat_map(|group| &group.photos);
+    let mut inputs: Vec<PathBuf> = photos.map(|photo| photo.path.clone()).collect();
+    inputs.extend(args.exposures.clone());
+    let pictures = groups.iter().map(|group| format!("{}.exr", group.name));
+    let names: Vec<String> = pictures.chain(REPORTS.map(str::to_owned)).collect();
+    let names = names.iter().map(String::as_str);
+    Ok(check_overwrites_no_input(&args.output, names, &inputs)?)
 }
 
 fn write_picture(folder: &Path, name: &str, merged: &MergedPhoto) -> io::Result<()> {
@@ -102,12 +122,6 @@ fn view(group: &Group, merged: &MergedPhoto) -> Value {
 /// The response and the weights as JSON and CSV, and the frames for a manifest.
 fn write_reports(folder: &Path, response: &Response, views: &[Value]) -> io::Result<()> {
     let report = json!({ "response": response, "views": views });
-    fs::write(
-        folder.join("response.json"),
-        serde_json::to_vec_pretty(&report)?,
-    )?;
-    fs::write(folder.join("response.csv"), response_csv(response))?;
-    fs::write(folder.join("weights.csv"), weights_csv(views))?;
     let frames: Vec<Value> = views
         .iter()
         .map(|view| {
@@ -120,10 +134,16 @@ fn write_reports(folder: &Path, response: &Response, views: &[Value]) -> io::Res
         })
         .collect();
     let fragment = json!({ "frames": frames });
-    fs::write(
-        folder.join("frames.json"),
-        serde_json::to_vec_pretty(&fragment)?,
-    )
+    let texts = [
+        serde_json::to_string_pretty(&report)?,
+        response_csv(response),
+        weights_csv(views),
+        serde_json::to_string_pretty(&fragment)?,
+    ];
+    REPORTS
+        .iter()
+        .zip(texts)
+        .try_for_each(|(name, text)| fs::write(folder.join(name), text))
 }
 
 fn response_csv(response: &Response) -> String {
@@ -194,8 +214,9 @@ fn print_text(folder: &Path, response: &Response, views: &[Value]) {
         print_line(&format!("{name}  {}{saturated}", weights.join(", ")));
     }
     print_line(&format!(
-        "{}: {} pictures, response.json, response.csv, weights.csv, frames.json",
+        "{}: {} pictures, {}",
         folder.display(),
-        views.len()
+        views.len(),
+        REPORTS.join(", ")
     ));
 }

@@ -64,6 +64,13 @@ impl Progress {
         }
     }
 
+    /// Several things the user should know.
+    pub(super) fn warn_all(&self, warnings: &[String]) {
+        for warning in warnings {
+            self.warn(warning);
+        }
+    }
+
     /// Takes the bar away.
     pub(super) fn finish(&self) {
         if let Some(bar) = &self.bar {

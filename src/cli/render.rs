@@ -3,16 +3,19 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail};
+use anyhow::bail;
 use glam::Vec3;
 
 use super::interrupt;
 use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
-use crate::capture::{Camera, read_cameras};
+use crate::capture::{Camera, input_files, read_cameras};
 use crate::export::{self, Depth, PngFile, Shown};
 use crate::relight::{self, Edit, Picture};
-use crate::solution::{Solution, Staging, solution_folder, write_rgb, write_rgba};
+use crate::solution::{
+    Solution, Staging, cannot_write, check_overwrites_no_input, own_files, solution_folder,
+    write_rgb, write_rgba,
+};
 
 /// Arguments of `rekindle render`.
 #[derive(clap::Args)]
@@ -42,19 +45,22 @@ pub(super) struct Shot {
 }
 
 pub(super) fn run(args: &RenderArgs, output: OutputArgs) -> anyhow::Result<()> {
-    check_output(&args.output)?;
+    check_apart(&args.output, &args.solution)?;
+    let settled = check_output(&args.output)?;
     let mut progress = Progress::new(output);
+    progress.warn_all(&settled);
     progress.stage("reading the solution", 0.0);
     let solution = Solution::load(solution_folder(&args.solution))?;
     let shots = shots(&args.cameras)?;
+    check_inputs(args, &shots)?;
     let edits = match &args.edits {
         Some(path) => relight::load(path)?,
         None => Vec::new(),
     };
     let renderer = Renderer::new(&solution);
-    let staging = Staging::beside(&args.output).with_context(|| cannot_write(&args.output))?;
+    let staging = Staging::within(&args.output).map_err(cannot_write(&args.output))?;
     let files = renderer.shoot(&shots, &edits, args.layers, &staging, &mut progress)?;
-    staging.add().with_context(|| cannot_write(&args.output))?;
+    staging.add().map_err(cannot_write(&args.output))?;
     progress.finish();
     if output.json {
         let pictures: Vec<_> = files.iter().map(|f| args.output.join(f)).collect();
@@ -70,22 +76,42 @@ pub(super) fn run(args: &RenderArgs, output: OutputArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Fails where no pictures can be written, so that this is known before any work is done.
-pub(super) fn check_output(folder: &Path) -> anyhow::Result<()> {
+/// Fails where no files can be added, so that this is known before any work is done. Returns what runs that were killed had
+/// left there and what became of it, in whole sentences.
+pub(super) fn check_output(folder: &Path) -> anyhow::Result<Vec<String>> {
     if folder.exists() && !folder.is_dir() {
         bail!("{}: is not a folder; choose another", folder.display());
     }
-    let staging = Staging::beside(folder).with_context(|| cannot_write(folder))?;
-    drop(staging);
+    let staging = Staging::within(folder).map_err(cannot_write(folder))?;
+    Ok(staging.settled().to_vec())
+}
+
+/// Fails where the output folder is the solution's own.
+pub(super) fn check_apart(output: &Path, solution: &Path) -> anyhow::Result<()> {
+    let real = |path: &Path| path.canonicalize().ok();
+    if real(output).is_some() && real(output) == real(solution_folder(solution)) {
+        bail!(
+            "{}: is the solution itself, whose files would be mixed with others; choose another output folder",
+            output.display()
+        );
+    }
     Ok(())
 }
 
-/// What to say where pictures can't be written.
-pub(super) fn cannot_write(folder: &Path) -> String {
-    format!(
-        "{}: can't be written; choose an output folder you may write to, on a disk with space left",
-        folder.display()
-    )
+/// Fails where pictures would be written over photographs or files of the solution.
+fn check_inputs(args: &RenderArgs, shots: &[Shot]) -> anyhow::Result<()> {
+    let solution = solution_folder(&args.solution);
+    let own = own_files(solution).unwrap_or_default();
+    let mut inputs = input_files(&args.cameras)?;
+    inputs.extend(own.listed().iter().map(|name| solution.join(name)));
+    let endings = [".exr", ".png", ".diffuse.exr", ".specular.exr"];
+    let endings = &endings[..if args.layers { 4 } else { 2 }];
+    let names: Vec<String> = shots
+        .iter()
+        .flat_map(|shot| endings.iter().map(|end| format!("{}{end}", shot.stem)))
+        .collect();
+    let names = names.iter().map(String::as_str);
+    Ok(check_overwrites_no_input(&args.output, names, &inputs)?)
 }
 
 /// One shot per frame of a cameras file, named by the stem of its file path.
@@ -145,7 +171,7 @@ impl<'a> Renderer<'a> {
             );
             let picture = lit.picture(&shot.camera);
             self.write(&picture, &shot.stem, layers, staging.path(), &mut files)
-                .with_context(|| cannot_write(staging.target()))?;
+                .map_err(cannot_write(staging.target()))?;
         }
         Ok(files)
     }

@@ -11,11 +11,13 @@ use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
 use crate::bench::peak;
-use crate::capture::Capture;
+use crate::capture::{Capture, input_files};
 use crate::estimate::{
     EstimateParams, Iteration, Method, Observer, Shortcut, SpecularChoice, SpecularModel,
 };
-use crate::solution::{Solution, SolveOptions, check_destination, origin, solve};
+use crate::solution::{
+    Solution, SolveOptions, check_destination, check_holds_no_input, origin, solve,
+};
 
 /// Frequency of the hemisphere up to which all its nodes can be unknowns at once: 2000 of them.
 const MOST_DENSE: u32 = 20;
@@ -25,7 +27,7 @@ const MOST_DENSE: u32 = 20;
 pub(super) struct SolveArgs {
     /// Folder of the capture, or its transforms.json
     capture: PathBuf,
-    /// Folder for the solution; one that is there already is replaced at the end
+    /// Folder for the solution; one that is there already is replaced at the end, if nothing else is in its folder
     #[arg(short, long, value_name = "SOLUTION")]
     output: PathBuf,
     #[command(flatten)]
@@ -204,9 +206,13 @@ fn go_on() -> ControlFlow<()> {
 }
 
 pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
-    check_destination(&args.output)?;
+    if args.output.exists() {
+        check_holds_no_input(&args.output, &input_files(&args.capture)?)?;
+    }
+    let settled = check_destination(&args.output)?;
     args.options.check()?;
     let mut progress = Progress::new(output);
+    progress.warn_all(&settled);
     progress.stage("reading the capture", 0.0);
     let started = Instant::now();
     let capture = Capture::load(&args.capture)?;
@@ -269,9 +275,7 @@ fn report(
 }
 
 fn warn(solution: &Solution, progress: &mut Progress) {
-    for warning in &solution.diagnostics.warnings {
-        progress.warn(warning);
-    }
+    progress.warn_all(&solution.diagnostics.warnings);
 }
 
 /// Solves a capture, with progress and warnings.

@@ -9,9 +9,9 @@ use super::OutputArgs;
 use super::bench::written;
 use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
-use super::render::{cannot_write, check_output};
+use super::render::check_output;
 use super::synth::Size;
-use crate::solution::Staging;
+use crate::solution::{Staging, cannot_write};
 use crate::study::{ACCURACY, Plan, StudyError, run as study};
 
 /// Arguments of `rekindle study`.
@@ -38,7 +38,7 @@ pub(super) struct StudyArgs {
 }
 
 pub(super) fn run(args: &StudyArgs, output: OutputArgs) -> anyhow::Result<()> {
-    check_output(&args.output)?;
+    let settled = check_output(&args.output)?;
     let plan = Plan {
         program: std::env::current_exe().context("the program can't find itself")?,
         only: args.only.clone(),
@@ -49,8 +49,9 @@ pub(super) fn run(args: &StudyArgs, output: OutputArgs) -> anyhow::Result<()> {
         most_megapixels: args.most_pixels,
     };
     let mut progress = Progress::new(output);
-    // Captures are made beside the result, where there is room, and go with it if the study is interrupted.
-    let staging = Staging::beside(&args.output).with_context(|| cannot_write(&args.output))?;
+    progress.warn_all(&settled);
+    // Captures are made where the result is to be, where there is room, and go with it if the study is interrupted.
+    let staging = Staging::within(&args.output).map_err(cannot_write(&args.output))?;
     let made = study(&plan, &staging.path().join("captures"), &mut progress);
     let made = match made {
         Err(StudyError::Stopped) => return Err(Interrupted.into()),

@@ -12,7 +12,7 @@ use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
 use crate::synth::{
     Encode, Files, GeometryErrors, Lamps, Light, Material, Normals, Object, Places, Recipe, Sensor,
-    SynthError, Views, make,
+    SynthError, Views, check_destination, make,
 };
 
 /// Arguments of `rekindle synth`.
@@ -390,7 +390,9 @@ impl LightArgs {
 
 pub(super) fn run(args: &SynthArgs, output: OutputArgs) -> anyhow::Result<()> {
     let recipe = args.recipe()?;
+    let settled = check_destination(&args.output)?;
     let mut progress = Progress::new(output);
+    progress.warn_all(&settled);
     let made = make(&recipe, &args.output, &mut |what, part| {
         progress.stage(what, part);
         if interrupt::asked() {

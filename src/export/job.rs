@@ -15,7 +15,7 @@ use super::png_file::{Animation, Depth, PngFile, Shown};
 use super::renderer::{LitScene, Renderer};
 use crate::capture::Camera;
 use crate::relight::{Band, Lighting, Stop};
-use crate::solution::{Solution, Staging};
+use crate::solution::{Solution, Staging, write_advice};
 use crate::studio::ViewTransform;
 
 /// Pictures are at most this many pixels wide and high.
@@ -87,9 +87,7 @@ pub enum ExportError {
     #[error("nothing to export; choose at least one file type and one camera")]
     Nothing,
     /// Writing failed.
-    #[error(
-        "{path}: can't be written: {source}; choose a folder you may write to, on a disk with space left"
-    )]
+    #[error("{path}: can't be written: {source}; {}", write_advice(.source))]
     Write {
         /// The folder.
         path: PathBuf,

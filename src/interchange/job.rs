@@ -17,7 +17,7 @@ use super::{blender, glb, light_list, mitsuba, obj, textures, usd};
 use crate::capture::transforms;
 use crate::export::{self as pictures, ExportError, Renderer};
 use crate::relight::Stop;
-use crate::solution::Staging;
+use crate::solution::{Staging, write_advice};
 use crate::studio::ViewTransform;
 
 /// Names of files that others refer to.
@@ -99,9 +99,7 @@ pub enum JobError {
     #[error(transparent)]
     Pictures(ExportError),
     /// Writing failed.
-    #[error(
-        "{path}: can't be written: {source}; choose a folder you may write to, on a disk with space left"
-    )]
+    #[error("{path}: can't be written: {source}; {}", write_advice(.source))]
     Write {
         /// The folder.
         path: PathBuf,

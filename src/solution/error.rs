@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+use super::DestinationError;
+
 /// Why a solution can't be read or written.
 #[derive(Debug, Error)]
 pub enum SolutionError {
@@ -62,20 +64,7 @@ pub enum SolutionError {
         /// What is wrong.
         what: String,
     },
-    /// The destination is something else's folder.
-    #[error("{path}: exists and is not a solution; choose another output folder or remove it")]
-    Occupied {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// Writing failed.
-    #[error(
-        "{path}: can't be written: {source}; choose an output folder you may write to, on a disk with space left"
-    )]
-    Write {
-        /// The folder.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
+    /// It can't be put where it is wanted.
+    #[error(transparent)]
+    Destination(#[from] DestinationError),
 }

@@ -17,10 +17,23 @@ pub(super) struct Head {
     pub(super) version: u32,
 }
 
+/// Read where a solution is to be replaced, of any version.
+#[derive(Deserialize)]
+pub(super) struct Listed {
+    #[serde(default)]
+    pub(super) format: String,
+    #[serde(default)]
+    pub(super) files: Vec<String>,
+}
+
 #[derive(Serialize, Deserialize)]
 pub(super) struct Manifest {
     pub(super) format: String,
     pub(super) version: u32,
+    /// All files of the solution, by their paths in its folder; nothing in solutions that were written before they were
+    /// listed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) files: Vec<String>,
     pub(super) name: String,
     /// Nothing in solutions that were written before it was kept.
     #[serde(default)]

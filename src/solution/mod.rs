@@ -10,20 +10,27 @@
 //! | `mesh.ply`, `mesh.obj` | the surface with texture coordinates |
 //! | `diffuse.exr`, `albedo.exr`, `confidence.exr` | textures: diffuse radiance, pseudo-albedo, how far each texel is known |
 
+mod destination;
 mod error;
 mod exr_file;
 mod format;
 mod mesh_file;
 mod origin;
+mod owned;
 mod placed;
 mod solve;
 mod staging;
 
+pub use destination::{
+    DestinationError, cannot_write, check_holds_no_input, check_overwrites_no_input, check_owned,
+    write_advice,
+};
 pub use error::SolutionError;
 pub use exr_file::{write_rgb, write_rgba};
 pub use format::{Fit, Skipped};
 pub use mesh_file::{write_obj, write_plain_obj};
 pub use origin::origin;
+pub use owned::Owned;
 pub use placed::{manifest_of, write_mesh_transform, write_placed_mesh};
 pub use solve::{SolveOptions, solve};
 pub use staging::{Staging, abandon_unfinished};
@@ -42,10 +49,14 @@ use crate::hemisphere::{HemisphereGrid, Picture, lat_long};
 use crate::registration::Correction;
 use crate::relight::{LampNodes, LightNode, Lighting};
 use crate::surface::Atlas;
-use format::{FORMAT, Head, Hemisphere, Light, Manifest, Nodes, Texture, VERSION};
+use format::{FORMAT, Head, Hemisphere, Light, Listed, Manifest, Nodes, Texture, VERSION};
 
 /// Rows of the lat-long picture: a node is some three pixels tall at frequency 70.
 const LATLONG_ROWS: u32 = 512;
+/// The file by which a solution is known.
+const MANIFEST: &str = "solution.json";
+/// Folder of pictures of hemispheres in a solution.
+const HEMISPHERES: &str = "hemispheres";
 /// First line of the mesh as OBJ.
 const OBJ_HEAD: &str = "# written by rekindle; texture diffuse.exr\n";
 /// Lit nodes outside all lamps that are kept apart.
@@ -179,14 +190,12 @@ impl Solution {
     /// Writes the solution; one that is there already is replaced once everything is written.
     /// Returns the seconds of all stages, writing and total included.
     pub fn save(&self, folder: &Path) -> Result<Vec<(String, f64)>, SolutionError> {
-        check_destination(folder)?;
-        let failed = |source: io::Error| SolutionError::Write {
-            path: folder.to_owned(),
-            source,
-        };
-        let staging = Staging::beside(folder).map_err(failed)?;
-        let timings = self.write_files(staging.path()).map_err(failed)?;
-        staging.replace().map_err(failed)?;
+        let staging = Staging::beside(folder).map_err(cannot_write(folder))?;
+        check_replaceable(folder)?;
+        let timings = self
+            .write_files(staging.path())
+            .map_err(cannot_write(folder))?;
+        staging.replace(check_replaceable)?;
         Ok(timings)
     }
 
@@ -194,8 +203,10 @@ impl Solution {
         let started = Instant::now();
         let uvs = self.stored_uvs();
         let width = self.atlas.width;
-        let pictures = folder.join("hemispheres");
-        fs::create_dir(&pictures)?;
+        let pictures = folder.join(HEMISPHERES);
+        if !self.pictures.is_empty() {
+            fs::create_dir(&pictures)?;
+        }
         let jobs: Vec<Box<dyn Fn() -> io::Result<()> + Sync + Send + '_>> = vec![
             Box::new(|| write_rgb(&folder.join("diffuse.exr"), width, &self.diffuse)),
             Box::new(|| write_rgb(&folder.join("albedo.exr"), width, &self.albedo)),
@@ -236,11 +247,14 @@ impl Solution {
         let total = timings.iter().map(|(_, seconds)| seconds).sum();
         timings.push(("total".to_owned(), total));
         // Last, so that a folder with a solution.json has everything else too.
+        let mut files = Owned::all_in(folder)?.listed();
+        files.push(MANIFEST.to_owned());
         let manifest = Manifest {
+            files,
             timings_s: to_map(&timings),
             ..self.manifest()
         };
-        write_json(&folder.join("solution.json"), &manifest, true)?;
+        write_json(&folder.join(MANIFEST), &manifest, true)?;
         Ok(timings)
     }
 
@@ -285,6 +299,7 @@ impl Solution {
         Manifest {
             format: FORMAT.to_owned(),
             version: VERSION,
+            files: Vec::new(),
             name: self.name.clone(),
             origin: self.origin.clone(),
             method: self.method,
@@ -432,22 +447,61 @@ pub fn solution_folder(path: &Path) -> &Path {
     }
 }
 
-/// Fails if something that is no solution is in the way, so that this is known before any work is done.
-pub fn check_destination(folder: &Path) -> Result<(), SolutionError> {
-    let write = |source: io::Error| SolutionError::Write {
-        path: folder.to_owned(),
-        source,
-    };
-    if folder.exists() {
-        let empty = fs::read_dir(folder).map_err(write)?.next().is_none();
-        if !empty && !folder.join("solution.json").is_file() {
-            return Err(SolutionError::Occupied {
-                path: folder.to_owned(),
-            });
-        }
-    }
+/// Fails if something that is no solution is in the way, or files that are no solution's, so that this is known before any
+/// work is done. Returns what runs that were killed had left there and what became of it, in whole sentences.
+pub fn check_destination(folder: &Path) -> Result<Vec<String>, SolutionError> {
     // Whether it can be written at all is best found out by trying.
-    Staging::beside(folder).map(drop).map_err(write)
+    let staging = Staging::beside(folder).map_err(cannot_write(folder))?;
+    check_replaceable(folder)?;
+    Ok(staging.settled().to_vec())
+}
+
+/// Fails unless a folder is a solution with nothing else in it, empty or not there.
+fn check_replaceable(folder: &Path) -> Result<(), DestinationError> {
+    check_owned(folder, own_files(folder), "a solution")
+}
+
+/// The files of the solution in a folder, if there is one.
+pub fn own_files(folder: &Path) -> Option<Owned> {
+    let path = folder.join(MANIFEST);
+    let text = path.is_file().then(|| fs::read(&path))?.ok()?;
+    let listed: Listed = serde_json::from_slice(&text).ok()?;
+    if listed.format != FORMAT {
+        return None;
+    }
+    Some(if listed.files.is_empty() {
+        unlisted_files(folder)
+    } else {
+        listed.files.into_iter().collect()
+    })
+}
+
+/// The files of a solution that was written before they were listed: all of a solution's names that are there.
+fn unlisted_files(folder: &Path) -> Owned {
+    let entries = fs::read_dir(folder.join(HEMISPHERES)).into_iter().flatten();
+    let pictures = entries
+        .flatten()
+        .filter_map(|entry| entry.file_name().into_string().ok())
+        .filter(|name| {
+            let stem = name.strip_suffix(".exr").unwrap_or_default();
+            let number = stem.strip_prefix("partial_").unwrap_or_default();
+            let numbered = number.len() >= 3 && number.bytes().all(|b| b.is_ascii_digit());
+            stem == "initial" || numbered
+        })
+        .map(|name| format!("{HEMISPHERES}/{name}"));
+    let names = [
+        MANIFEST,
+        HEMISPHERES,
+        "albedo.exr",
+        "cameras.json",
+        "confidence.exr",
+        "diffuse.exr",
+        "hemisphere.exr",
+        "mesh.obj",
+        "mesh.ply",
+        "nodes.json",
+    ];
+    pictures.chain(names.map(str::to_owned)).collect()
 }
 
 /// The lighting of an estimate. A compact lamp shines as a uniform disc with its direction, flux and extent: single nodes of
@@ -845,6 +899,72 @@ mod tests {
         fs::write(folder.path().join("thesis.tex"), "x").unwrap();
         let error = example().save(folder.path()).unwrap_err().to_string();
         assert!(error.contains("not a solution"), "{error}");
+        // Nor with a solution.json of something else.
+        fs::write(folder.path().join(MANIFEST), "{\"format\": \"chemistry\"}").unwrap();
+        let error = example().save(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("not a solution"), "{error}");
         assert!(folder.path().join("thesis.tex").exists());
+    }
+
+    fn pictured() -> Solution {
+        let picture = |name: &str| HemispherePicture {
+            name: name.to_owned(),
+            picture: lat_long(&example().grid, &example().radiance, 4),
+        };
+        Solution {
+            pictures: vec![picture("initial"), picture("partial_000")],
+            ..example()
+        }
+    }
+
+    #[test]
+    fn what_a_solution_did_not_write_is_never_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("solution");
+        pictured().save(&path).unwrap();
+        example().save(&path).unwrap();
+        assert!(!path.join(HEMISPHERES).exists(), "all of the old one goes");
+        pictured().save(&path).unwrap();
+        for (name, is_folder) in [
+            ("notes.txt", false),
+            ("paintings", true),
+            ("hemispheres/partial_000.png", false),
+            ("hemispheres/mine", true),
+        ] {
+            let other = path.join(name);
+            if is_folder {
+                fs::create_dir(&other).unwrap();
+            } else {
+                fs::write(&other, "x").unwrap();
+            }
+            let error = check_destination(&path).unwrap_err().to_string();
+            assert!(error.contains(name), "{error} does not name {name}");
+            assert!(example().save(&path).is_err());
+            assert!(other.exists() && Solution::load(&path).is_ok());
+            if is_folder {
+                fs::remove_dir(&other).unwrap();
+            } else {
+                fs::remove_file(&other).unwrap();
+            }
+        }
+        assert!(check_destination(&path).unwrap().is_empty());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn files_are_known_of_solutions_that_do_not_list_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("solution");
+        pictured().save(&path).unwrap();
+        let manifest = path.join(MANIFEST);
+        let mut value: serde_json::Value = read_json(&manifest).unwrap();
+        let listed = value.as_object_mut().unwrap().remove("files").unwrap();
+        assert_eq!(listed.as_array().unwrap().len(), 11);
+        write_json(&manifest, &value, true).unwrap();
+        fs::write(path.join("notes.txt"), "x").unwrap();
+        let error = check_destination(&path).unwrap_err().to_string();
+        assert!(error.contains(": holds notes.txt, which"), "{error}");
+        fs::remove_file(path.join("notes.txt")).unwrap();
+        pictured().save(&path).unwrap();
     }
 }

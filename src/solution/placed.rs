@@ -35,8 +35,10 @@ pub fn write_placed_mesh(path: &Path, mesh: &Mesh) -> io::Result<()> {
     add(path, |path| write_plain_obj(path, mesh))
 }
 
-/// Puts a file that `write` makes into its folder.
+/// Puts a file that `write` makes into its folder. A link is followed.
 fn add(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<()> {
+    let real = path.canonicalize();
+    let path = real.as_deref().unwrap_or(path);
     let Some(name) = path.file_name() else {
         return Err(io::Error::other("it is not a file's name"));
     };
@@ -59,4 +61,24 @@ fn matrix(value: &Value) -> Option<DMat4> {
         }
     }
     Some(matrix)
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_linked_manifest_stays_a_link() {
+        let folder = tempfile::tempdir().unwrap();
+        let [real, link] = ["real.json", "transforms.json"].map(|name| folder.path().join(name));
+        fs::write(&real, "{}").unwrap();
+        std::os::unix::fs::symlink("real.json", &link).unwrap();
+        write_mesh_transform(&link, &DMat4::IDENTITY).unwrap();
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert!(
+            fs::read_to_string(&real)
+                .unwrap()
+                .contains("mesh_transform")
+        );
+    }
 }

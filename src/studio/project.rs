@@ -16,7 +16,7 @@ use thiserror::Error;
 use super::document::{Document, State};
 use super::lamp::Baseline;
 use super::look::ProbeLight;
-use crate::solution::{Solution, SolutionError};
+use crate::solution::{Solution, SolutionError, write_advice};
 
 /// Extension of project files, without the dot.
 pub const EXTENSION: &str = "rekindle";
@@ -85,9 +85,7 @@ pub enum ProjectError {
     #[error(transparent)]
     Solution(#[from] SolutionError),
     /// Writing failed.
-    #[error(
-        "{path}: can't be written: {source}; choose a place you may write to, on a disk with space left"
-    )]
+    #[error("{path}: can't be written: {source}; {}", write_advice(.source))]
     Write {
         /// The file.
         path: PathBuf,
@@ -277,8 +275,10 @@ impl Snapshot {
     }
 }
 
-/// Writes a file whole: aside, then renamed.
+/// Writes a file whole: aside, then renamed. A link is followed.
 fn write_whole(path: &Path, contents: &[u8]) -> io::Result<()> {
+    let real = path.canonicalize();
+    let path = real.as_deref().unwrap_or(path);
     let folder = parent(path);
     fs::create_dir_all(folder)?;
     let mut aside = tempfile::Builder::new()

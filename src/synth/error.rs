@@ -1,9 +1,8 @@
 //! What can be wrong with a wish for a capture.
 
-use std::io;
-use std::path::PathBuf;
-
 use thiserror::Error;
+
+use crate::solution::DestinationError;
 
 /// Why a capture can't be made.
 #[derive(Debug, Error)]
@@ -21,24 +20,9 @@ pub enum SynthError {
         /// Least distance.
         least: f32,
     },
-    /// The destination is something else's folder.
-    #[error(
-        "{path}: exists and is not a capture with known truth; choose another output folder or remove it"
-    )]
-    Occupied {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// Writing failed.
-    #[error(
-        "{path}: can't be written: {source}; choose an output folder you may write to, on a disk with space left"
-    )]
-    Write {
-        /// The folder.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
+    /// It can't be put where it is wanted.
+    #[error(transparent)]
+    Destination(#[from] DestinationError),
     /// Stopped by whoever asked for it.
     #[error("stopped")]
     Stopped,

@@ -32,10 +32,14 @@ use std::io;
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
+
 use crate::capture::Camera;
 use crate::math::random::Random;
 use crate::relight::{Lighting, Picture};
-use crate::solution::{Staging, write_plain_obj, write_rgb};
+use crate::solution::{
+    DestinationError, Owned, Staging, cannot_write, check_owned, write_plain_obj, write_rgb,
+};
 use cameras::{Stand, misaligned};
 use files::{Folder, photographs};
 use lamps::TrueLamp;
@@ -47,6 +51,11 @@ use sensor::Exposed;
 const RELIT_VIEWS: usize = 3;
 /// Near lamps are at least this many radii of the object away from its centre.
 const NEAREST_LAMP: f32 = 1.3;
+
+/// File that lists all files of a made capture.
+const LIST: &str = "truth/files.json";
+/// What the list's `format` says.
+const LIST_FORMAT: &str = "rekindle-synth";
 
 /// What a seed's numbers are for.
 #[derive(Clone, Copy)]
@@ -63,33 +72,54 @@ enum Purpose {
 /// Hears what is done and which part of the whole is done, and may stop it.
 pub type Progress<'a> = &'a mut dyn FnMut(&str, f32) -> ControlFlow<()>;
 
-/// Makes a capture and writes it to a folder, which appears whole or not at all. One that is there already is replaced.
+/// Makes a capture and writes it to a folder, which appears whole or not at all. One that was made there is replaced.
 pub fn make(recipe: &Recipe, folder: &Path, progress: Progress) -> Result<(), SynthError> {
-    check_destination(folder)?;
     let staging = Staging::beside(folder).map_err(cannot_write(folder))?;
+    check_replaceable(folder)?;
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
     Maker::new(recipe, progress)?.write(&name, staging.path(), folder)?;
-    staging.replace().map_err(cannot_write(folder))
+    write_list(staging.path()).map_err(cannot_write(folder))?;
+    Ok(staging.replace(check_replaceable)?)
 }
 
-/// What a failure to write becomes.
-fn cannot_write(folder: &Path) -> impl Fn(io::Error) -> SynthError {
-    |source| SynthError::Write {
-        path: folder.to_owned(),
-        source,
-    }
+/// Fails if something is in the way that was not made here, so that this is known before any work is done. Returns what
+/// runs that were killed had left there and what became of it, in whole sentences.
+pub fn check_destination(folder: &Path) -> Result<Vec<String>, SynthError> {
+    let staging = Staging::beside(folder).map_err(cannot_write(folder))?;
+    check_replaceable(folder)?;
+    Ok(staging.settled().to_vec())
 }
 
-/// Refuses to replace anything but an earlier made capture.
-fn check_destination(folder: &Path) -> Result<(), SynthError> {
-    let there = folder.exists() && !folder.join("truth/truth.json").is_file();
-    let empty = || fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
-    if there && !empty() {
-        return Err(SynthError::Occupied {
-            path: folder.to_owned(),
-        });
-    }
-    Ok(())
+/// The list of all files of a made capture, itself included.
+#[derive(Serialize, Deserialize)]
+struct List {
+    format: String,
+    files: Vec<String>,
+}
+
+/// Writes the list of what is in a folder.
+fn write_list(folder: &Path) -> io::Result<()> {
+    let mut files = Owned::all_in(folder)?.listed();
+    files.push(LIST.to_owned());
+    let list = List {
+        format: LIST_FORMAT.to_owned(),
+        files,
+    };
+    fs::write(folder.join(LIST), serde_json::to_vec_pretty(&list)?)
+}
+
+/// Refuses to replace anything but an earlier made capture with nothing else in it.
+fn check_replaceable(folder: &Path) -> Result<(), DestinationError> {
+    let list = fs::read(folder.join(LIST)).ok();
+    let list: Option<List> = list.and_then(|text| serde_json::from_slice(&text).ok());
+    let owned = list
+        .filter(|list| list.format == LIST_FORMAT)
+        .map(|list| list.files.into_iter().collect());
+    check_owned(
+        folder,
+        owned,
+        "a capture that `rekindle synth` made (those have a list of their files, truth/files.json)",
+    )
 }
 
 /// A recipe on its way to a capture.

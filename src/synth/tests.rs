@@ -351,8 +351,29 @@ fn what_cannot_be_made_leaves_everything_as_it_was() {
     fs::create_dir(&into).unwrap();
     fs::write(into.join("mine"), "x").unwrap();
     let error = make(&small(), &into, &mut |_, _| ControlFlow::Continue(())).unwrap_err();
-    assert!(matches!(error, SynthError::Occupied { .. }), "{error}");
+    assert!(error.to_string().contains("exists and is not"), "{error}");
     assert!(into.join("mine").exists());
+}
+
+#[test]
+fn only_what_was_made_is_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let into = folder.path().join("made");
+    let mut recipe = small();
+    recipe.truth_pictures = false;
+    let made = || make(&recipe, &into, &mut |_, _| ControlFlow::Continue(()));
+    made().unwrap();
+    made().unwrap();
+    fs::write(into.join("images/mine.png"), "x").unwrap();
+    let error = made().unwrap_err().to_string();
+    assert!(error.contains("holds images/mine.png"), "{error}");
+    assert!(into.join("images/mine.png").exists() && into.join("mesh.obj").exists());
+    // Without the list, as in a capture with truth from elsewhere, nothing counts as made here.
+    fs::remove_file(into.join("images/mine.png")).unwrap();
+    fs::remove_file(into.join("truth/files.json")).unwrap();
+    let error = made().unwrap_err().to_string();
+    assert!(error.contains("truth/files.json"), "{error}");
+    assert!(into.join("images/view_000.exr").exists());
 }
 
 fn solved(folder: &TempDir) -> Solution {
