@@ -162,7 +162,7 @@ pub enum CaptureError {
     },
     /// No camera sees the mesh.
     #[error(
-        "{path}: no camera sees the mesh: none of its points falls inside an image; check that cameras and mesh are in the same coordinate frame and units, and that the matrices are camera-to-world with OpenGL axes; rekindle align finds the mesh's place if the images have alpha or masks"
+        "{path}: no camera sees the mesh: it lies outside all images or is smaller than a pixel there; check that cameras and mesh are in the same coordinate frame and units, and that the matrices are camera-to-world with OpenGL axes; rekindle align finds the mesh's place if the images have alpha or masks"
     )]
     MeshUnseen {
         /// The mesh file.

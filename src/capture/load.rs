@@ -7,7 +7,7 @@ use super::manifest::{Frame, Manifest};
 use super::mesh::Mesh;
 use super::picture::{self, Encoding, Picture};
 use super::{Capture, LightHemisphere, Photograph, View, mesh_file};
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec2, DVec3};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -472,20 +472,24 @@ fn place_cameras(
     Err(CaptureError::MeshUnseen { path: mesh_path })
 }
 
-/// Whether any of the mesh's points, or a sample of many, falls inside the camera's image.
+/// Whether any of the mesh's points, or a sample of many, falls inside the camera's image, and all of them together are
+/// larger there than a pixel: a mesh in other units than the cameras may lie in the middle of every image, as a speck.
 fn sees_any(camera: &Camera, mesh: &Mesh) -> bool {
     let step = mesh.triangles.len().div_ceil(SAMPLES);
+    let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    let mut inside = false;
     mesh.triangles.iter().step_by(step).any(|triangle| {
-        let centre = triangle
-            .iter()
-            .map(|&v| mesh.positions[v as usize].as_dvec3())
-            .sum::<DVec3>()
-            / 3.0;
-        camera.project(centre).is_some_and(|pixel| {
+        let corners = triangle.map(|v| mesh.positions[v as usize].as_dvec3());
+        for pixel in corners.iter().filter_map(|&corner| camera.project(corner)) {
+            (low, high) = (low.min(pixel), high.max(pixel));
+        }
+        let centre = corners.iter().sum::<DVec3>() / 3.0;
+        inside |= camera.project(centre).is_some_and(|pixel| {
             pixel.min_element() >= 0.0
                 && pixel.x <= f64::from(camera.width)
                 && pixel.y <= f64::from(camera.height)
-        })
+        });
+        inside && (high - low).max_element() > 1.0
     })
 }
 

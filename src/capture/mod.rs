@@ -33,6 +33,7 @@ pub use demo::{DEMO, unpack_demo};
 pub use error::CaptureError;
 pub use load::{Covered, PixelCounts, read_cameras, read_covered, read_radiance};
 pub use mesh::{Mesh, SurfacePoint};
+pub(crate) use picture::exr_problem;
 pub use write_cameras::{camera_matrix, transforms};
 
 use std::sync::Arc;

@@ -15,6 +15,7 @@
 use super::brackets::srgb_to_linear;
 use super::clipping::mark_clipped;
 use super::error::CaptureError;
+use crate::files;
 use exr::meta::header::Header;
 use exr::prelude::{FlatImage, FlatSamples, MetaData, ReadChannels, ReadLayers};
 use half::slice::HalfFloatSliceExt;
@@ -107,7 +108,7 @@ pub(super) fn read_size(path: &Path, field: &str) -> Result<(u32, u32), CaptureE
     let bytes = read_file(path, field)?;
     if bytes.starts_with(&EXR_MAGIC) {
         let meta = MetaData::read_from_buffered(Cursor::new(&bytes), false)
-            .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
+            .map_err(|error| broken(path, exr_problem(&error), COPY_AGAIN))?;
         let window = display_size(path, meta.headers.first())?;
         return Ok((window.0 as u32, window.1 as u32));
     }
@@ -120,16 +121,31 @@ pub(super) fn read_size(path: &Path, field: &str) -> Result<(u32, u32), CaptureE
 }
 
 fn read_file(path: &Path, field: &str) -> Result<Vec<u8>, CaptureError> {
-    if !path.is_file() {
+    if !path.exists() {
         return Err(CaptureError::ImageMissing {
             path: path.to_owned(),
             field: field.to_owned(),
         });
     }
-    std::fs::read(path).map_err(|source| CaptureError::Unreadable {
+    files::read(path).map_err(|source| CaptureError::Unreadable {
         path: path.to_owned(),
         source,
     })
+}
+
+/// What the decoder of EXR files says, in words for those who do not know its parts.
+pub(crate) fn exr_problem(error: &exr::error::Error) -> String {
+    match error {
+        exr::error::Error::Io(source) => format!("it can't be read: {source}"),
+        exr::error::Error::NotSupported(what) => {
+            format!("it holds what is not understood here ({what})")
+        }
+        exr::error::Error::Invalid(what) if what.contains("missing bytes") => {
+            "the file ends too early".to_owned()
+        }
+        exr::error::Error::Invalid(what) => format!("the file is damaged ({what})"),
+        exr::error::Error::Aborted => "reading it was stopped".to_owned(),
+    }
 }
 
 fn broken(path: &Path, problem: impl Into<String>, advice: &str) -> CaptureError {
@@ -257,7 +273,7 @@ fn read_exr(
     bytes: &[u8],
     check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
 ) -> Result<Picture, CaptureError> {
-    let damaged = |error: exr::error::Error| broken(path, error.to_string(), COPY_AGAIN);
+    let damaged = |error: exr::error::Error| broken(path, exr_problem(&error), COPY_AGAIN);
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
     let Some(layer) = find_layer(&meta.headers) else {
         let names: Vec<String> = meta

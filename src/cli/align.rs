@@ -1,6 +1,5 @@
 //! `rekindle align`: where the mesh of a capture belongs.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -12,6 +11,7 @@ use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
 use crate::align::{AlignError, Alignment, Similarity, Start, align, read_points};
 use crate::capture::Capture;
+use crate::files;
 use crate::solution::{manifest_of, write_mesh_transform, write_placed_mesh};
 
 /// Overlap below which the result is not to be trusted.
@@ -115,7 +115,7 @@ pub(super) fn run(args: &AlignArgs, output: OutputArgs) -> anyhow::Result<()> {
 
 /// Lines of six numbers.
 fn read_pairs(path: &Path) -> anyhow::Result<Vec<[DVec3; 2]>> {
-    let text = fs::read_to_string(path)
+    let text = files::read_text(path)
         .with_context(|| format!("{}: can't be read; check that it is a file", path.display()))?;
     let mut pairs = Vec::new();
     for (i, line) in text.lines().enumerate() {

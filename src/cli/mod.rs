@@ -10,6 +10,7 @@ mod info;
 mod info_solution;
 mod interrupt;
 mod merge;
+mod print;
 mod progress;
 mod render;
 mod solve;
@@ -22,6 +23,7 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use clap::{Args, Parser, Subcommand};
 use interrupt::{INTERRUPTED, Interrupted};
+use print::{json_path, print_json, print_line, print_message, print_report};
 
 use crate::worker::message;
 
@@ -119,9 +121,12 @@ pub fn run() -> ExitCode {
     };
     match execute(&cli) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) if error.is::<Interrupted>() => ExitCode::from(INTERRUPTED),
+        // What was being written is taken away then, so that other errors may come of it.
+        Err(error) if error.is::<Interrupted>() || interrupt::asked() => {
+            ExitCode::from(INTERRUPTED)
+        }
         Err(error) => {
-            eprintln!("rekindle: {}", message(&error));
+            print_message(&format!("rekindle: {}", message(&error)));
             ExitCode::from(BAD_INPUT)
         }
     }
@@ -129,6 +134,7 @@ pub fn run() -> ExitCode {
 
 fn execute(cli: &Cli) -> anyhow::Result<()> {
     interrupt::listen()?;
+    interrupt::outlive_file_limit()?;
     if let Some(threads) = cli.output.threads {
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads.into())
@@ -156,16 +162,4 @@ fn execute(cli: &Cli) -> anyhow::Result<()> {
             }
         }
     }
-}
-
-/// Prints a command's result as one JSON object. A reader that went away is no error.
-fn print_json(value: &serde_json::Value) {
-    use std::io::Write as _;
-    let _ = writeln!(std::io::stdout(), "{value}");
-}
-
-/// Prints a line of a command's result. A reader that went away is no error.
-fn print_line(line: &str) {
-    use std::io::Write as _;
-    let _ = writeln!(std::io::stdout(), "{line}");
 }
