@@ -13,6 +13,7 @@ pub mod files;
 pub mod hemisphere;
 pub mod interchange;
 pub mod math;
+pub mod memory;
 pub mod preflight;
 pub mod registration;
 pub mod relight;

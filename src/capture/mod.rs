@@ -12,6 +12,7 @@ mod load;
 mod manifest;
 mod mesh;
 mod mesh_file;
+mod needs;
 mod obj;
 mod picture;
 mod ply;

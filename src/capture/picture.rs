@@ -21,7 +21,7 @@ use exr::prelude::{FlatImage, FlatSamples, MetaData, ReadChannels, ReadLayers};
 use half::slice::HalfFloatSliceExt;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageReader};
-use std::io::Cursor;
+use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::ops::Range;
 use std::path::Path;
 
@@ -105,14 +105,19 @@ impl Picture {
 
 /// Width and height of an image file, from its header.
 pub(super) fn read_size(path: &Path, field: &str) -> Result<(u32, u32), CaptureError> {
-    let bytes = read_file(path, field)?;
-    if bytes.starts_with(&EXR_MAGIC) {
-        let meta = MetaData::read_from_buffered(Cursor::new(&bytes), false)
+    let unreadable = |source| CaptureError::Unreadable {
+        path: path.to_owned(),
+        source,
+    };
+    check_there(path, field)?;
+    let mut file = BufReader::new(files::open(path).map_err(unreadable)?);
+    if file.fill_buf().map_err(unreadable)?.starts_with(&EXR_MAGIC) {
+        let meta = MetaData::read_from_buffered(file, false)
             .map_err(|error| broken(path, exr_problem(&error), COPY_AGAIN))?;
         let window = display_size(path, meta.headers.first())?;
         return Ok((window.0 as u32, window.1 as u32));
     }
-    let mut decoder = common_decoder(path, &bytes)?;
+    let mut decoder = common_decoder(path, file)?;
     let size = decoder.dimensions();
     Ok(size_after(
         size,
@@ -120,13 +125,18 @@ pub(super) fn read_size(path: &Path, field: &str) -> Result<(u32, u32), CaptureE
     ))
 }
 
-fn read_file(path: &Path, field: &str) -> Result<Vec<u8>, CaptureError> {
-    if !path.exists() {
-        return Err(CaptureError::ImageMissing {
-            path: path.to_owned(),
-            field: field.to_owned(),
-        });
+fn check_there(path: &Path, field: &str) -> Result<(), CaptureError> {
+    if path.exists() {
+        return Ok(());
     }
+    Err(CaptureError::ImageMissing {
+        path: path.to_owned(),
+        field: field.to_owned(),
+    })
+}
+
+fn read_file(path: &Path, field: &str) -> Result<Vec<u8>, CaptureError> {
+    check_there(path, field)?;
     files::read(path).map_err(|source| CaptureError::Unreadable {
         path: path.to_owned(),
         source,
@@ -410,10 +420,10 @@ fn inside(offset: i64, data: usize, display: usize) -> Range<usize> {
 /// Decoder of a file that is not EXR, with limits on what its header may ask for.
 fn common_decoder<'a>(
     path: &Path,
-    bytes: &'a [u8],
+    bytes: impl BufRead + Seek + 'a,
 ) -> Result<impl ImageDecoder + 'a, CaptureError> {
     const KNOWN: &str = "use EXR, Radiance HDR, TIFF, PNG or JPEG";
-    let mut reader = ImageReader::new(Cursor::new(bytes))
+    let mut reader = ImageReader::new(bytes)
         .with_guessed_format()
         .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
     if reader.format().is_none() {
@@ -449,7 +459,7 @@ fn read_common(
     turned: bool,
     check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
 ) -> Result<Picture, CaptureError> {
-    let mut decoder = common_decoder(path, bytes)?;
+    let mut decoder = common_decoder(path, Cursor::new(bytes))?;
     let stored = decoder.dimensions();
     check_pixels(path, u64::from(stored.0), u64::from(stored.1))?;
     let channels = u64::from(decoder.color_type().channel_count());
