@@ -399,6 +399,8 @@ pub fn apply(edits: &[Edit], lighting: &Lighting) -> Result<Lighting, EditError>
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::damage::{Random, damaged};
     use crate::relight::LightNode;
