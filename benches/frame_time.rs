@@ -4,6 +4,12 @@
 //! all 24,641 nodes of a hemisphere, and a lamp is dragged; the times are those until the device is done, the median of many
 //! frames. What light needs to be baked is not in them: it happens beside the frames.
 
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a benchmark prints its figures"
+)]
+
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;

@@ -3,6 +3,8 @@
 //! For each kernel the median time of a call and the quartiles are printed. No framework: those looked at change the
 //! features of `clap`, so that the library would be built once more for them, or bring some twenty crates.
 
+#![allow(clippy::print_stdout, reason = "a benchmark prints its figures")]
+
 use std::hint::black_box;
 use std::sync::LazyLock;
 use std::sync::atomic::AtomicBool;

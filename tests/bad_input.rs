@@ -5,7 +5,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::sync::Arc;
 
+use rekindle::capture::Capture;
 use serde_json::{Value, json};
 
 /// A capture that may be spoilt, in a folder of its own.
@@ -362,16 +364,160 @@ fn what_a_killed_run_left_is_mentioned_once() {
     assert_eq!(bench.names(), before);
 }
 
-/// A limit on the size of files fails like a full disk: in the middle of writing.
+/// Makes a pipe that nobody writes into.
+#[cfg(unix)]
+fn make_pipe(path: &Path) {
+    assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
+}
+
+/// What only looks like a file is refused, not waited for.
+#[cfg(unix)]
+#[test]
+fn pipes_and_folders() {
+    const PICTURE: &str = "capture/images/view_003.exr";
+    let bench = Bench::new();
+    bench.solve();
+    fs::remove_file(bench.path(PICTURE)).unwrap();
+    make_pipe(&bench.path(PICTURE));
+    bench.refuses_solve(&["view_003.exr: cannot be read: it is a device, a pipe"]);
+    fs::remove_file(bench.path(PICTURE)).unwrap();
+    fs::create_dir(bench.path(PICTURE)).unwrap();
+    bench.refuses_solve(&["view_003.exr: cannot be read: it is a folder"]);
+    let cameras = "capture/transforms.json";
+    let render = ["render", "solution", "--cameras", cameras, "-o", "pictures"];
+    make_pipe(&bench.path("edits.json"));
+    let edited = [&render[..], &["--edits", "edits.json"]].concat();
+    bench.refuses(&edited, &["edits.json", "a pipe"]);
+    for name in ["mesh.ply", "diffuse.exr"] {
+        let path = bench.path("solution").join(name);
+        assert!(path.exists(), "a solution has {name}");
+        let whole = fs::read(&path).unwrap();
+        fs::remove_file(&path).unwrap();
+        make_pipe(&path);
+        bench.refuses(&render, &[name, "a pipe"]);
+        fs::remove_file(&path).unwrap();
+        fs::write(&path, whole).unwrap();
+    }
+}
+
+#[test]
+fn files_outside_the_folder_of_a_mesh() {
+    let bench = Bench::new();
+    bench.write("secret.bin", [0; 36]);
+    bench.change_manifest(|m| m["mesh_path"] = json!("mesh.gltf"));
+    let outside = bench.path("secret.bin");
+    for uri in [
+        "../secret.bin",
+        "a/../../secret.bin",
+        outside.to_str().unwrap(),
+    ] {
+        let document = json!({
+            "asset": { "version": "2.0" },
+            "buffers": [{ "uri": uri, "byteLength": 36 }],
+        });
+        bench.write("capture/mesh.gltf", document.to_string());
+        bench.refuses_solve(&["mesh.gltf", "is not in the folder of the mesh"]);
+    }
+}
+
+#[test]
+fn a_mesh_in_other_units() {
+    let bench = Bench::new();
+    bench.change_mesh(|text| {
+        let lines = text.lines().map(|line| match line.strip_prefix("v ") {
+            Some(numbers) => {
+                let scaled = numbers.split_whitespace().map(|number| {
+                    let value: f64 = number.parse().unwrap();
+                    (1e-6 * value).to_string()
+                });
+                format!("v {}\n", scaled.collect::<Vec<_>>().join(" "))
+            }
+            None => format!("{line}\n"),
+        });
+        lines.collect()
+    });
+    bench.refuses_solve(&["mesh.obj: no camera sees the mesh", "units"]);
+}
+
+#[test]
+fn names_that_are_empty() {
+    let bench = Bench::new();
+    bench.change_manifest(|m| m["mesh_path"] = json!(""));
+    bench.refuses_solve(&["mesh_path is empty"]);
+}
+
+#[test]
+fn messages_hold_no_control_characters() {
+    let bench = Bench::new();
+    bench.change_manifest(|m| m["mesh_path"] = json!("\u{1b}[2Jmesh.obj"));
+    bench.refuses_solve(&["\\u{1b}[2Jmesh.obj: no such mesh"]);
+}
+
+#[test]
+fn more_memory_than_may_be_taken() {
+    let bench = Bench::new();
+    let solve = ["solve", "capture", "-o", "made/solution", "--memory"];
+    let limited = |limit| [&solve[..], &[limit]].concat();
+    bench.refuses(
+        &limited("4M"),
+        &["transforms.json", "6 views", "4M may be taken", "--memory"],
+    );
+    bench.refuses(&["info", "capture", "--memory", "4M"], &["4M may be taken"]);
+    let run = bench.run(&["info", "capture", "--memory", "1G"]);
+    assert!(run.status.success());
+}
+
+/// Frames that name the same file share its pixels.
+#[test]
+fn a_file_is_read_once() {
+    let bench = Bench::new();
+    bench.change_manifest(|m| {
+        let name = m["frames"][1]["file_path"].clone();
+        m["frames"][4]["file_path"] = name;
+    });
+    let capture = Capture::load(&bench.path("capture")).unwrap();
+    let photograph = |i: usize| &capture.views[i].photograph;
+    assert_eq!(capture.views.len(), 6);
+    assert!(Arc::ptr_eq(photograph(1), photograph(4)));
+    assert!(!Arc::ptr_eq(photograph(1), photograph(2)));
+}
+
+/// Too little address space is a message before anything is read.
+#[cfg(target_os = "linux")]
+#[test]
+fn too_little_address_space() {
+    let bench = Bench::new();
+    for mebibytes in [200, 300] {
+        let run = Command::new("sh")
+            .arg("-c")
+            .arg(format!("ulimit -v {}; exec \"$@\"", 1024 * mebibytes))
+            .arg("sh")
+            .arg(env!("CARGO_BIN_EXE_rekindle"))
+            .args(["solve", "capture", "-o", "made", "--threads", "2"])
+            .current_dir(bench.folder.path())
+            .output()
+            .unwrap();
+        check_refusal(&run, &["address space", "ulimit -v"]);
+    }
+}
+
+/// A limit on the size of files fails like a full disk: in the middle of writing, whether or not its signal is caught by
+/// whoever starts the program.
 #[cfg(unix)]
 #[test]
 fn a_full_disk() {
+    fail_to_write("trap '' XFSZ; ulimit -f 100; exec \"$@\"");
+    fail_to_write("ulimit -f 100; exec \"$@\"");
+}
+
+#[cfg(unix)]
+fn fail_to_write(script: &str) {
     let bench = Bench::new();
     bench.solve();
     let before = bench.names();
     let limited = |arguments: &[&str]| {
         Command::new("sh")
-            .args(["-c", "trap '' XFSZ; ulimit -f 100; exec \"$@\"", "sh"])
+            .args(["-c", script, "sh"])
             .arg(env!("CARGO_BIN_EXE_rekindle"))
             .args(arguments)
             .arg("--quiet")

@@ -286,6 +286,113 @@ fn ctrl_c_leaves_nothing_at_any_moment() {
     assert!(rekindle(&["info", &solution]).status.success());
 }
 
+/// Ended from outside at any moment, the program says so by its status and leaves nothing.
+#[cfg(unix)]
+#[test]
+fn terminated_renders_leave_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let source = capture("spot_paper");
+    let source = source.to_str().unwrap();
+    let solution = path("solution");
+    let run = rekindle(&["solve", source, "-o", &solution, "--frequency", "20"]);
+    assert!(run.status.success());
+    let cameras = format!("{source}/truth/novel/transforms.json");
+    let pictures = path("pictures");
+    let mut ended_early = 0;
+    for moment in 0..30 {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_rekindle"))
+            .args(["render", &solution, "--cameras", &cameras, "-o", &pictures])
+            .arg("--layers")
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(program.stderr.take().unwrap()).lines();
+        let mut lines = lines.map_while(Result::ok);
+        lines.next();
+        std::thread::sleep(std::time::Duration::from_millis(7 * moment));
+        let id = program.id().to_string();
+        let _ = Command::new("kill").args(["-TERM", &id]).status();
+        let said: Vec<String> = lines.collect();
+        let status = program.wait().unwrap().code();
+        if status == Some(0) {
+            std::fs::remove_dir_all(&pictures).unwrap();
+        } else {
+            ended_early += 1;
+            assert_eq!(status, Some(130), "{said:?}");
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+    assert!(ended_early > 0, "no render was ended");
+}
+
+/// A reader that goes away and a device that is full cost the messages, not the result.
+#[cfg(target_os = "linux")]
+#[test]
+fn results_do_not_depend_on_who_listens() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = capture("spot_paper");
+    for (name, redirection) in [
+        ("nobody", "2>&1 | true"),
+        ("full", "2>/dev/full"),
+        ("full_json", "--json >/dev/full 2>&1"),
+    ] {
+        let solution = folder.path().join(name);
+        let script = format!("\"$0\" solve \"$1\" -o \"$2\" --frequency 20 {redirection}");
+        let run = Command::new("sh")
+            .args(["-c", &script, env!("CARGO_BIN_EXE_rekindle")])
+            .args([&source, &solution])
+            .status()
+            .unwrap();
+        assert!(run.success(), "{name}: {run}");
+        let written = solution.join("solution.json");
+        assert!(written.is_file(), "{name}: the solution was lost");
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn paths_may_hold_any_bytes() {
+    use std::os::unix::ffi::OsStrExt as _;
+    let folder = tempfile::tempdir().unwrap();
+    let odd = |name: &[u8]| folder.path().join(std::ffi::OsStr::from_bytes(name));
+    let source = capture("spot_paper");
+    let program = || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rekindle"));
+        command.args(["--json", "--quiet"]);
+        command
+    };
+    let solution = odd(b"solution\xff");
+    let solve = program()
+        .args(["solve", "--frequency", "20"])
+        .arg(&source)
+        .arg("-o")
+        .arg(&solution)
+        .output();
+    assert_eq!(solve.unwrap().status.code(), Some(0));
+    let render = program()
+        .arg("render")
+        .arg(&solution)
+        .arg("--cameras")
+        .arg(source.join("transforms.json"))
+        .arg("-o")
+        .arg(odd(b"pictures\xfe"))
+        .output()
+        .unwrap();
+    assert_eq!(render.status.code(), Some(0));
+    let printed: Value = serde_json::from_slice(&render.stdout).unwrap();
+    assert_eq!(printed["pictures"].as_array().unwrap().len(), 12);
+    let export = program()
+        .args(["export", "--for", "light", "--size", "64"])
+        .arg(&solution)
+        .arg("-o")
+        .arg(odd(b"files\xfd"))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&export.stderr);
+    assert_eq!(export.status.code(), Some(0), "{said}");
+}
+
 #[test]
 fn what_has_not_changed_is_not_solved_again() {
     let folder = tempfile::tempdir().unwrap();

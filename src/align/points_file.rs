@@ -9,6 +9,7 @@ use serde_json::Value;
 
 use super::marks::{Mark, MarkedPoint};
 use crate::capture::View;
+use crate::files;
 
 /// Why a file of points can't be used.
 #[derive(Debug, thiserror::Error)]
@@ -51,7 +52,7 @@ pub enum PointsError {
 
 /// Reads marked points; photographs go by the names of `views`.
 pub fn read_points(path: &Path, views: &[View]) -> Result<Vec<MarkedPoint>, PointsError> {
-    let text = std::fs::read(path).map_err(|source| PointsError::Unreadable {
+    let text = files::read(path).map_err(|source| PointsError::Unreadable {
         path: path.to_owned(),
         source,
     })?;

@@ -1,5 +1,7 @@
 //! Cells of tables, in CSV and in Markdown.
 
+use crate::text::csv_cell;
+
 /// A number with as many decimals as it needs; nothing where there is none.
 pub(crate) fn cell(value: Option<impl Into<f64>>, decimals: usize) -> String {
     match value.map(Into::into) {
@@ -21,12 +23,14 @@ pub(crate) fn percent(value: Option<f64>) -> Option<f64> {
     value.map(|v| 100.0 * v)
 }
 
-/// A text as one field of a CSV file.
+/// A text as one field of a CSV file, in quotes only where it needs them.
 pub(crate) fn field(text: &str) -> String {
-    if text.contains([',', '"', '\n', '\r']) {
-        format!("\"{}\"", text.replace('"', "\"\""))
+    let cell = csv_cell(text);
+    let plain = &cell[1..cell.len() - 1];
+    if plain.contains([',', '"', '\n', '\r']) {
+        cell
     } else {
-        text.to_owned()
+        plain.to_owned()
     }
 }
 

@@ -7,6 +7,7 @@ use glam::Vec3;
 use serde::Deserialize;
 
 use super::error::BenchError;
+use crate::files;
 use crate::relight::Edit;
 
 /// What an estimate should find.
@@ -121,7 +122,7 @@ fn read<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, BenchError> {
         path: path.to_owned(),
         what,
     };
-    let text = fs::read(path).map_err(|error| problem(format!("can't be read: {error}")))?;
+    let text = files::read(path).map_err(|error| problem(format!("can't be read: {error}")))?;
     serde_json::from_slice(&text).map_err(|error| problem(format!("isn't as expected: {error}")))
 }
 

@@ -5,6 +5,7 @@
 
 use super::error::CaptureError;
 use super::manifest::found;
+use crate::files;
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -85,7 +86,7 @@ fn cameras_of(images: &Path) -> &'static str {
 pub(super) fn read(folder: &Path, images: &Path) -> Result<Value, CaptureError> {
     let cameras_path = images.with_file_name(cameras_of(images));
     let read = |path: &Path| {
-        std::fs::read(path).map_err(|source| CaptureError::Unreadable {
+        files::read(path).map_err(|source| CaptureError::Unreadable {
             path: path.to_owned(),
             source,
         })

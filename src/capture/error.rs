@@ -160,9 +160,25 @@ pub enum CaptureError {
         /// What was found instead.
         problem: String,
     },
+    /// The photographs would take more memory than the program may.
+    #[error(
+        "{path}: its {views} views of {megapixels:.1} megapixels together would take about {needed} of memory, and {limit} may be taken; scale the photographs down, leave views out, or allow more with --memory"
+    )]
+    Memory {
+        /// The manifest.
+        path: PathBuf,
+        /// Number of views.
+        views: usize,
+        /// Their pixels together, in millions.
+        megapixels: f64,
+        /// What would be taken.
+        needed: String,
+        /// What may be taken.
+        limit: String,
+    },
     /// No camera sees the mesh.
     #[error(
-        "{path}: no camera sees the mesh: none of its points falls inside an image; check that cameras and mesh are in the same coordinate frame and units, and that the matrices are camera-to-world with OpenGL axes; rekindle align finds the mesh's place if the images have alpha or masks"
+        "{path}: no camera sees the mesh: it lies outside all images or is smaller than a pixel there; check that cameras and mesh are in the same coordinate frame and units, and that the matrices are camera-to-world with OpenGL axes; rekindle align finds the mesh's place if the images have alpha or masks"
     )]
     MeshUnseen {
         /// The mesh file.

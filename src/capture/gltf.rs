@@ -6,9 +6,11 @@
 
 use super::error::CaptureError;
 use super::mesh_file::RawMesh;
+use crate::files;
 use glam::{Mat3, Mat4, Quat, Vec2, Vec3};
 use serde::Deserialize;
-use std::path::Path;
+use std::io::ErrorKind;
+use std::path::{Component, Path};
 
 /// How every GLB file starts.
 const MAGIC: &[u8] = b"glTF";
@@ -219,12 +221,32 @@ fn load(folder: &Path, uri: &str) -> Result<Vec<u8>, String> {
         return base64(text).ok_or_else(|| "broken base64".to_owned());
     }
     let name = percent_decoded(uri);
-    let file = folder.join(&name);
-    // Devices and pipes may never end.
-    if !file.is_file() {
-        return Err(format!("{name} can't be read: there is no such file"));
+    if leads_out(Path::new(&name)) {
+        return Err(format!(
+            "{name} is not in the folder of the mesh, so it is not read; put it beside the mesh"
+        ));
     }
-    std::fs::read(file).map_err(|error| format!("{name} can't be read: {error}"))
+    files::read(&folder.join(&name)).map_err(|error| match error.kind() {
+        ErrorKind::NotFound => format!("{name} can't be read: there is no such file"),
+        _ => format!("{name} can't be read: {error}"),
+    })
+}
+
+/// Whether a path leaves the folder that it begins in, though it may come back.
+fn leads_out(path: &Path) -> bool {
+    let mut depth = 0_usize;
+    !path.components().all(|component| match component {
+        Component::Normal(_) => {
+            depth += 1;
+            true
+        }
+        Component::CurDir => true,
+        Component::ParentDir if depth > 0 => {
+            depth -= 1;
+            true
+        }
+        Component::ParentDir | Component::RootDir | Component::Prefix(_) => false,
+    })
 }
 
 fn base64(text: &str) -> Option<Vec<u8>> {

@@ -1,14 +1,14 @@
 //! Reading a whole capture: manifest, images in parallel, mesh, and whether they belong together.
 
-use super::brackets::{self, Brackets, Merged, Part, Response, Settings, Table};
+use super::brackets::{self, Brackets, ExposureUse, Part, Response, Settings, Table};
 use super::camera::Camera;
 use super::error::CaptureError;
 use super::isolated::isolated_pixels;
 use super::manifest::{Frame, Manifest};
 use super::mesh::Mesh;
 use super::picture::{self, Encoding, Picture};
-use super::{Capture, LightHemisphere, Photograph, View, mesh_file};
-use glam::{DAffine3, DVec3};
+use super::{Capture, LightHemisphere, Photograph, View, mesh_file, needs};
+use glam::{DAffine3, DVec2, DVec3};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -39,11 +39,13 @@ impl Capture {
         let mut warnings = Vec::from_iter(manifest.leave_out_missing());
         let table = Table::beside(&manifest.folder)?;
         brackets::settle(&mut manifest, &table)?;
+        let firsts = needs::first_alike(&manifest.frames);
+        needs::check(&manifest, &firsts)?;
         let read = |frame: &Frame| read_frame(&manifest, frame);
         let several = manifest.frames.iter().filter(|f| f.exposures.len() > 1);
         let response = brackets::response(&several.collect::<Vec<_>>(), &|frame| read(frame))?;
-        let ((frames, masks), mesh) = rayon::join(
-            || read_images(&manifest, &response),
+        let (photographs, mesh) = rayon::join(
+            || read_photographs(&manifest, &firsts, &response),
             || {
                 let mesh_path = manifest.mesh_path.as_deref();
                 let file = mesh_file::find(&manifest.folder, mesh_path, &manifest.path)?;
@@ -56,24 +58,25 @@ impl Capture {
             },
         );
         let mut tally = Tally::default();
-        let mut uses = Vec::new();
-        let mut pictures = Vec::with_capacity(manifest.frames.len());
-        for ((frame, merged), mask) in manifest.frames.iter().zip(frames).zip(masks) {
-            let mut merged = merged?;
-            warnings.append(&mut merged.warnings);
-            uses.push(std::mem::take(&mut merged.uses));
-            tally.count_encoding(merged.picture.encoding);
-            pictures.push((frame, merged.picture, mask?));
-        }
-        let made: Vec<Result<(View, PixelCounts), CaptureError>> = pictures
-            .into_par_iter()
-            .map(|(frame, picture, mask)| make_view(&manifest, frame, picture, mask.as_ref()))
-            .collect();
-        let mut views = Vec::with_capacity(made.len());
-        for made in made {
-            let (view, counts) = made?;
-            tally.pixels.push((view.name.clone(), counts));
-            views.push(view);
+        let mut uses = Vec::with_capacity(firsts.len());
+        let mut views = Vec::with_capacity(firsts.len());
+        let photographs = photographs?;
+        for (i, (frame, &first)) in manifest.frames.iter().zip(&firsts).enumerate() {
+            let Some(read) = &photographs[first] else {
+                continue;
+            };
+            if i == first {
+                warnings.extend(read.warnings.iter().cloned());
+            }
+            uses.push(read.uses.clone());
+            tally.count_encoding(read.encoding);
+            tally.pixels.push((frame.name.clone(), read.counts));
+            let size = (read.photograph.width, read.photograph.height);
+            views.push(View {
+                name: frame.name.clone(),
+                camera: frame.lens.camera(size, frame.world_from_camera),
+                photograph: Arc::clone(&read.photograph),
+            });
         }
         tally.report(&mut warnings);
         let brackets = uses
@@ -192,33 +195,76 @@ fn name_of(folder: &Path) -> String {
     )
 }
 
-type Frames = Vec<Result<Merged, CaptureError>>;
-type Masks = Vec<Result<Option<Picture>, CaptureError>>;
+/// What came of the files of a frame.
+struct Read {
+    photograph: Arc<Photograph>,
+    counts: PixelCounts,
+    encoding: Encoding,
+    uses: Vec<ExposureUse>,
+    warnings: Vec<String>,
+}
 
-/// Decodes all images and masks in parallel, in the order of the frames, and merges those of several exposures.
-fn read_images(manifest: &Manifest, response: &Response) -> (Frames, Masks) {
-    rayon::join(
-        || {
-            manifest
-                .frames
-                .par_iter()
-                .map(|frame| brackets::merge(read_frame(manifest, frame)?, response))
-                .collect()
-        },
-        || {
-            manifest
-                .frames
-                .par_iter()
-                .map(|frame| {
-                    let Some(path) = &frame.mask else {
-                        return Ok(None);
-                    };
-                    let field = format!("{}.mask_path", frame.field);
-                    Picture::read(path, &field, !manifest.as_stored, &|_| Ok(())).map(Some)
-                })
-                .collect()
-        },
-    )
+/// The photographs of all frames, decoded in parallel, merged and cleaned; those that have the files of an earlier one, as
+/// `firsts` says, are left out. The first error is that of the first frame with one.
+fn read_photographs(
+    manifest: &Manifest,
+    firsts: &[usize],
+    response: &Response,
+) -> Result<Vec<Option<Read>>, CaptureError> {
+    let read: Vec<Result<Option<Read>, CaptureError>> = manifest
+        .frames
+        .par_iter()
+        .enumerate()
+        .map(|(i, frame)| {
+            let own = firsts[i] == i;
+            own.then(|| read_photograph(manifest, frame, response))
+                .transpose()
+        })
+        .collect();
+    read.into_iter().collect()
+}
+
+/// Joins the files of a frame to one photograph.
+fn read_photograph(
+    manifest: &Manifest,
+    frame: &Frame,
+    response: &Response,
+) -> Result<Read, CaptureError> {
+    let merged = brackets::merge(read_frame(manifest, frame)?, response)?;
+    let encoding = merged.picture.encoding;
+    let mask = read_mask(manifest, frame, &merged.picture)?;
+    let (photograph, counts) = clean(merged.picture, mask.as_ref());
+    check_useful(&photograph, &frame.exposures[0].path)?;
+    Ok(Read {
+        photograph: Arc::new(photograph),
+        counts,
+        encoding,
+        uses: merged.uses,
+        warnings: merged.warnings,
+    })
+}
+
+/// The mask of a frame, of the size of its picture.
+fn read_mask(
+    manifest: &Manifest,
+    frame: &Frame,
+    picture: &Picture,
+) -> Result<Option<Picture>, CaptureError> {
+    let Some(path) = &frame.mask else {
+        return Ok(None);
+    };
+    let field = format!("{}.mask_path", frame.field);
+    let mask = Picture::read(path, &field, !manifest.as_stored, &|_| Ok(()))?;
+    let (found, stated) = ((mask.width, mask.height), (picture.width, picture.height));
+    if found == stated {
+        return Ok(Some(mask));
+    }
+    Err(CaptureError::ImageSize {
+        path: path.clone(),
+        found,
+        stated,
+        stated_by: format!("its image in {}", manifest.path.display()),
+    })
 }
 
 fn read_frame(manifest: &Manifest, frame: &Frame) -> Result<Vec<Part>, CaptureError> {
@@ -338,36 +384,6 @@ impl Tally {
             ));
         }
     }
-}
-
-/// Joins the files of a frame to one photograph with its camera.
-fn make_view(
-    manifest: &Manifest,
-    frame: &Frame,
-    picture: Picture,
-    mask: Option<&Picture>,
-) -> Result<(View, PixelCounts), CaptureError> {
-    let path = frame.exposures[0].path.clone();
-    let size = (picture.width, picture.height);
-    if let (Some(mask), Some(path)) = (mask, &frame.mask) {
-        let found = (mask.width, mask.height);
-        if found != size {
-            return Err(CaptureError::ImageSize {
-                path: path.clone(),
-                found,
-                stated: size,
-                stated_by: format!("its image in {}", manifest.path.display()),
-            });
-        }
-    }
-    let (photograph, counts) = clean(picture, mask);
-    check_useful(&photograph, &path)?;
-    let view = View {
-        name: frame.name.clone(),
-        camera: frame.lens.camera(size, frame.world_from_camera),
-        photograph: Arc::new(photograph),
-    };
-    Ok((view, counts))
 }
 
 /// Makes every pixel finite and not negative and marks what is data.
@@ -501,20 +517,24 @@ fn place_cameras(
     Err(CaptureError::MeshUnseen { path: mesh_path })
 }
 
-/// Whether any of the mesh's points, or a sample of many, falls inside the camera's image.
+/// Whether any of the mesh's points, or a sample of many, falls inside the camera's image, and all of them together are
+/// larger there than a pixel: a mesh in other units than the cameras may lie in the middle of every image, as a speck.
 fn sees_any(camera: &Camera, mesh: &Mesh) -> bool {
     let step = mesh.triangles.len().div_ceil(SAMPLES);
+    let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    let mut inside = false;
     mesh.triangles.iter().step_by(step).any(|triangle| {
-        let centre = triangle
-            .iter()
-            .map(|&v| mesh.positions[v as usize].as_dvec3())
-            .sum::<DVec3>()
-            / 3.0;
-        camera.project(centre).is_some_and(|pixel| {
+        let corners = triangle.map(|v| mesh.positions[v as usize].as_dvec3());
+        for pixel in corners.iter().filter_map(|&corner| camera.project(corner)) {
+            (low, high) = (low.min(pixel), high.max(pixel));
+        }
+        let centre = corners.iter().sum::<DVec3>() / 3.0;
+        inside |= camera.project(centre).is_some_and(|pixel| {
             pixel.min_element() >= 0.0
                 && pixel.x <= f64::from(camera.width)
                 && pixel.y <= f64::from(camera.height)
-        })
+        });
+        inside && (high - low).max_element() > 1.0
     })
 }
 

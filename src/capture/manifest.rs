@@ -18,6 +18,7 @@ use super::camera::{Camera, Distortion};
 use super::colmap;
 use super::error::CaptureError;
 use super::{reality_capture, sfm_data};
+use crate::files;
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3};
 use serde_json::{Map, Value};
 use std::path::{Path, PathBuf};
@@ -292,6 +293,7 @@ fn kind(value: &Value) -> String {
         Value::Null => "null".to_owned(),
         Value::Bool(b) => format!("{b}"),
         Value::Number(n) => format!("the number {n}"),
+        Value::String(s) if s.is_empty() => "empty".to_owned(),
         Value::String(s) => format!("the text \"{}\"", s.chars().take(40).collect::<String>()),
         Value::Array(_) => "a list".to_owned(),
         Value::Object(_) => "an object".to_owned(),
@@ -315,7 +317,7 @@ impl Manifest {
             }
         }
         let file = locate(path)?;
-        let bytes = std::fs::read(&file).map_err(|source| CaptureError::Unreadable {
+        let bytes = files::read(&file).map_err(|source| CaptureError::Unreadable {
             path: file.clone(),
             source,
         })?;

@@ -3,7 +3,9 @@
 use super::error::CaptureError;
 use super::mesh::Mesh;
 use super::{gltf, obj, ply};
+use crate::files;
 use glam::{Vec2, Vec3};
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 /// A mesh as its file has it.
@@ -99,7 +101,7 @@ pub(super) fn read(path: &Path) -> Result<(Mesh, Vec<String>), CaptureError> {
             });
         }
     };
-    let bytes = std::fs::read(path).map_err(|source| CaptureError::Unreadable {
+    let bytes = files::read(path).map_err(|source| CaptureError::Unreadable {
         path: path.to_owned(),
         source,
     })?;
@@ -137,6 +139,12 @@ pub(super) fn finish(path: &Path, raw: RawMesh) -> Result<(Mesh, Vec<String>), C
             "The mesh has {dropped} triangles of zero area, which were left out."
         ));
     }
+    let repeated = drop_repeated(&mut mesh);
+    if repeated > 0 {
+        warnings.push(format!(
+            "The mesh has {repeated} triangles that repeat others, which were left out."
+        ));
+    }
     if mesh.uvs.iter().any(|uv| !uv.is_finite()) {
         warnings
             .push("Texture coordinates of the mesh are incomplete and were left out.".to_owned());
@@ -153,6 +161,21 @@ pub(super) fn finish(path: &Path, raw: RawMesh) -> Result<(Mesh, Vec<String>), C
         ));
     }
     Ok((mesh, warnings))
+}
+
+/// Drops triangles that are where another one is, wound the same way: every ray through one would try them all. Returns how
+/// many they were.
+fn drop_repeated(mesh: &mut Mesh) -> usize {
+    let places = mesh.places();
+    let stated = mesh.triangles.len();
+    let mut there = HashSet::with_capacity(stated);
+    mesh.triangles.retain(|triangle| {
+        let mut corners = triangle.map(|v| places[v as usize]);
+        let first = (0..3).min_by_key(|&k| corners[k]).unwrap_or(0);
+        corners.rotate_left(first);
+        there.insert(corners)
+    });
+    stated - mesh.triangles.len()
 }
 
 /// Turns triangles and normals outwards where the whole mesh has them the wrong way round: a closed surface that

@@ -15,12 +15,13 @@
 use super::brackets::srgb_to_linear;
 use super::clipping::mark_clipped;
 use super::error::CaptureError;
+use crate::files;
 use exr::meta::header::Header;
 use exr::prelude::{FlatImage, FlatSamples, MetaData, ReadChannels, ReadLayers};
 use half::slice::HalfFloatSliceExt;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageReader};
-use std::io::Cursor;
+use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::ops::Range;
 use std::path::Path;
 
@@ -104,14 +105,19 @@ impl Picture {
 
 /// Width and height of an image file, from its header.
 pub(super) fn read_size(path: &Path, field: &str) -> Result<(u32, u32), CaptureError> {
-    let bytes = read_file(path, field)?;
-    if bytes.starts_with(&EXR_MAGIC) {
-        let meta = MetaData::read_from_buffered(Cursor::new(&bytes), false)
-            .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
+    let unreadable = |source| CaptureError::Unreadable {
+        path: path.to_owned(),
+        source,
+    };
+    check_there(path, field)?;
+    let mut file = BufReader::new(files::open(path).map_err(unreadable)?);
+    if file.fill_buf().map_err(unreadable)?.starts_with(&EXR_MAGIC) {
+        let meta = MetaData::read_from_buffered(file, false)
+            .map_err(|error| broken(path, exr_problem(&error), COPY_AGAIN))?;
         let window = display_size(path, meta.headers.first())?;
         return Ok((window.0 as u32, window.1 as u32));
     }
-    let mut decoder = common_decoder(path, &bytes)?;
+    let mut decoder = common_decoder(path, file)?;
     let size = decoder.dimensions();
     Ok(size_after(
         size,
@@ -119,17 +125,37 @@ pub(super) fn read_size(path: &Path, field: &str) -> Result<(u32, u32), CaptureE
     ))
 }
 
-fn read_file(path: &Path, field: &str) -> Result<Vec<u8>, CaptureError> {
-    if !path.is_file() {
-        return Err(CaptureError::ImageMissing {
-            path: path.to_owned(),
-            field: field.to_owned(),
-        });
+fn check_there(path: &Path, field: &str) -> Result<(), CaptureError> {
+    if path.exists() {
+        return Ok(());
     }
-    std::fs::read(path).map_err(|source| CaptureError::Unreadable {
+    Err(CaptureError::ImageMissing {
+        path: path.to_owned(),
+        field: field.to_owned(),
+    })
+}
+
+fn read_file(path: &Path, field: &str) -> Result<Vec<u8>, CaptureError> {
+    check_there(path, field)?;
+    files::read(path).map_err(|source| CaptureError::Unreadable {
         path: path.to_owned(),
         source,
     })
+}
+
+/// What the decoder of EXR files says, in words for those who do not know its parts.
+pub(crate) fn exr_problem(error: &exr::error::Error) -> String {
+    match error {
+        exr::error::Error::Io(source) => format!("it can't be read: {source}"),
+        exr::error::Error::NotSupported(what) => {
+            format!("it holds what is not understood here ({what})")
+        }
+        exr::error::Error::Invalid(what) if what.contains("missing bytes") => {
+            "the file ends too early".to_owned()
+        }
+        exr::error::Error::Invalid(what) => format!("the file is damaged ({what})"),
+        exr::error::Error::Aborted => "reading it was stopped".to_owned(),
+    }
 }
 
 fn broken(path: &Path, problem: impl Into<String>, advice: &str) -> CaptureError {
@@ -257,7 +283,7 @@ fn read_exr(
     bytes: &[u8],
     check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
 ) -> Result<Picture, CaptureError> {
-    let damaged = |error: exr::error::Error| broken(path, error.to_string(), COPY_AGAIN);
+    let damaged = |error: exr::error::Error| broken(path, exr_problem(&error), COPY_AGAIN);
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
     let Some(layer) = find_layer(&meta.headers) else {
         let names: Vec<String> = meta
@@ -394,10 +420,10 @@ fn inside(offset: i64, data: usize, display: usize) -> Range<usize> {
 /// Decoder of a file that is not EXR, with limits on what its header may ask for.
 fn common_decoder<'a>(
     path: &Path,
-    bytes: &'a [u8],
+    bytes: impl BufRead + Seek + 'a,
 ) -> Result<impl ImageDecoder + 'a, CaptureError> {
     const KNOWN: &str = "use EXR, Radiance HDR, TIFF, PNG or JPEG";
-    let mut reader = ImageReader::new(Cursor::new(bytes))
+    let mut reader = ImageReader::new(bytes)
         .with_guessed_format()
         .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
     if reader.format().is_none() {
@@ -433,7 +459,7 @@ fn read_common(
     turned: bool,
     check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
 ) -> Result<Picture, CaptureError> {
-    let mut decoder = common_decoder(path, bytes)?;
+    let mut decoder = common_decoder(path, Cursor::new(bytes))?;
     let stored = decoder.dimensions();
     check_pixels(path, u64::from(stored.0), u64::from(stored.1))?;
     let channels = u64::from(decoder.color_type().channel_count());

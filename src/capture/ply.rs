@@ -6,6 +6,7 @@
 use super::error::CaptureError;
 use super::mesh_file::RawMesh;
 use super::polygon::triangulate;
+use crate::files;
 use glam::{Vec2, Vec3};
 use std::io::Read;
 use std::path::Path;
@@ -50,7 +51,7 @@ struct Element {
 /// Whether a PLY file's header announces faces.
 pub(super) fn has_faces(path: &Path) -> bool {
     let mut bytes = Vec::new();
-    let Ok(file) = std::fs::File::open(path) else {
+    let Ok(file) = files::open(path) else {
         return false;
     };
     if file.take(HEADER_LIMIT).read_to_end(&mut bytes).is_err() {

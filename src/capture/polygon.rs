@@ -1,9 +1,14 @@
 //! Cutting polygons into triangles.
 
+use earcut::Earcut;
 use glam::{DVec2, DVec3, Vec3};
 
+/// Most corners of a convex polygon that becomes a fan. The long triangles of a larger one would all lie on each other's
+/// bounds, and every ray at one of them would try them all.
+const MOST_FANNED: usize = 64;
+
 /// Appends the triangles of a polygon to `out`, keeping its winding. `corners` are vertex indices, at
-/// least three. Concave polygons are cut by ears in the plane of their mean normal (Newell's).
+/// least three. Concave and large polygons are cut by ears in the plane of their mean normal (Newell's).
 pub(super) fn triangulate(corners: &[u32], positions: &[Vec3], out: &mut Vec<[u32; 3]>) {
     if let &[a, b, c] = corners {
         out.push([a, b, c]);
@@ -24,7 +29,7 @@ pub(super) fn triangulate(corners: &[u32], positions: &[Vec3], out: &mut Vec<[u3
     let (x, y) = normal.any_orthonormal_pair();
     let flat: Vec<DVec2> = points
         .iter()
-        .map(|p| DVec2::new(p.dot(x), p.dot(y)))
+        .map(|p| DVec2::new((*p - points[0]).dot(x), (*p - points[0]).dot(y)))
         .collect();
     let orientation = normal.dot(x.cross(y)).signum();
     let turn = |i: usize, j: usize, k: usize| {
@@ -32,28 +37,18 @@ pub(super) fn triangulate(corners: &[u32], positions: &[Vec3], out: &mut Vec<[u3
     };
     let count = corners.len();
     let convex = (0..count).all(|i| turn(i, (i + 1) % count, (i + 2) % count) >= 0.0);
-    // Clipping ears takes quadratic time: beyond any modeller's polygon a fan has to do.
-    if convex || count > 1000 {
+    if convex && count <= MOST_FANNED {
         fan(corners, out);
         return;
     }
-    let mut left: Vec<usize> = (0..count).collect();
-    while left.len() > 3 {
-        let n = left.len();
-        let ear = (0..n).find(|&i| {
-            let (a, b, c) = (left[(i + n - 1) % n], left[i], left[(i + 1) % n]);
-            turn(a, b, c) > 0.0
-                && left
-                    .iter()
-                    .filter(|&&p| p != a && p != b && p != c)
-                    .all(|&p| turn(a, b, p) < 0.0 || turn(b, c, p) < 0.0 || turn(c, a, p) < 0.0)
-        });
-        // A polygon that crosses itself has no ear: cut anywhere.
-        let i = ear.unwrap_or(0);
-        out.push([left[(i + n - 1) % n], left[i], left[(i + 1) % n]].map(|k| corners[k]));
-        left.remove(i);
+    let mut ears: Vec<u32> = Vec::with_capacity(3 * count);
+    let plane = flat.iter().map(DVec2::to_array);
+    Earcut::new().earcut(plane, &[], &mut ears);
+    for ear in ears.chunks_exact(3) {
+        let [a, b, c] = [ear[0], ear[1], ear[2]].map(|k| k as usize);
+        let [b, c] = if turn(a, b, c) < 0.0 { [c, b] } else { [b, c] };
+        out.push([corners[a], corners[b], corners[c]]);
     }
-    out.push([corners[left[0]], corners[left[1]], corners[left[2]]]);
 }
 
 fn fan(corners: &[u32], out: &mut Vec<[u32; 3]>) {

@@ -7,6 +7,7 @@
 
 use super::error::CaptureError;
 use super::picture;
+use crate::files;
 use glam::{DMat3, DMat4, DVec3};
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
@@ -32,7 +33,7 @@ pub(super) fn locate(folder: &Path) -> Option<PathBuf> {
             path.extension()
                 .is_some_and(|e| e.eq_ignore_ascii_case("csv"))
         })
-        .filter(|path| std::fs::read(path).is_ok_and(|bytes| columns(&bytes).is_some()))
+        .filter(|path| files::read(path).is_ok_and(|bytes| columns(&bytes).is_some()))
         .collect();
     files.sort();
     files.into_iter().next()

@@ -870,6 +870,55 @@ fn concave_polygons_are_cut_inside() {
 }
 
 #[test]
+fn large_concave_polygons_are_cut_inside() {
+    // A gear of 3000 corners, whose fan from any corner would leave it.
+    let count = 3000_u32;
+    let points: Vec<Vec3> = (0..count)
+        .map(|i| {
+            let (sin, cos) = (std::f32::consts::TAU * i as f32 / count as f32).sin_cos();
+            let radius = if i / 10 % 2 == 0 { 1.0 } else { 0.6 };
+            Vec3::new(radius * cos, radius * sin, 0.0)
+        })
+        .collect();
+    let corners: Vec<u32> = (0..count).collect();
+    let mut triangles = Vec::new();
+    polygon::triangulate(&corners, &points, &mut triangles);
+    let twice = |a: Vec3, b: Vec3, c: Vec3| (b - a).as_dvec3().cross((c - a).as_dvec3()).z;
+    let area: f64 = triangles
+        .iter()
+        .map(|t| {
+            let [a, b, c] = t.map(|v| points[v as usize]);
+            let area = twice(a, b, c);
+            assert!(area >= 0.0, "a triangle is turned over");
+            0.5 * area
+        })
+        .sum();
+    let next = |i: usize| points[(i + 1) % points.len()];
+    let pieces = points.iter().enumerate();
+    let expected: f64 = pieces
+        .map(|(i, &p)| 0.5 * twice(Vec3::ZERO, p, next(i)))
+        .sum();
+    assert!((area - expected).abs() < 1e-4, "{area} for {expected}");
+}
+
+#[test]
+fn repeated_triangles_are_left_out() {
+    let mut text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 1 0\nf 3 2 1\n".to_owned();
+    text.push_str(&"f 1 2 3\nf 2 3 1\nf 1 2 4\n".repeat(10));
+    let path = Path::new("mesh.obj");
+    let raw = obj::parse(path, text.as_bytes()).expect("obj");
+    let (mesh, warnings) = mesh_file::finish(path, raw).expect("mesh");
+    // The two sides of the sheet stay.
+    assert_eq!(mesh.triangles.len(), 2);
+    assert!(
+        warnings
+            .iter()
+            .any(|w| w.contains("29 triangles that repeat others")),
+        "{warnings:?}"
+    );
+}
+
+#[test]
 fn ply_quads_big_endian_and_corner_texture_coordinates() {
     let header = "ply\nformat ascii 1.0\ncomment x\nelement vertex 4\nproperty double x\nproperty double y\nproperty double z\n\
          property uchar red\nelement face 2\nproperty list uchar uint vertex_index\nproperty list uchar float texcoord\n\

@@ -1,6 +1,5 @@
 //! `rekindle align`: where the mesh of a capture belongs.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -13,6 +12,7 @@ use super::render::check_output;
 use super::{OutputArgs, print_json, print_line};
 use crate::align::{AlignError, Alignment, Similarity, Start, align, read_points};
 use crate::capture::{Capture, input_files};
+use crate::files;
 use crate::solution::{
     cannot_write, check_overwrites_no_input, manifest_of, write_mesh_transform, write_placed_mesh,
 };
@@ -144,7 +144,7 @@ fn check_written(args: &AlignArgs, manifest: Option<&Path>) -> anyhow::Result<Ve
 
 /// Lines of six numbers.
 fn read_pairs(path: &Path) -> anyhow::Result<Vec<[DVec3; 2]>> {
-    let text = fs::read_to_string(path)
+    let text = files::read_text(path)
         .with_context(|| format!("{}: can't be read; check that it is a file", path.display()))?;
     let mut pairs = Vec::new();
     for (i, line) in text.lines().enumerate() {

@@ -7,7 +7,7 @@ use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::render::check_output;
 use super::solve::MethodArg;
-use super::{OutputArgs, print_json, print_line};
+use super::{OutputArgs, json_path, print_json, print_line};
 use crate::bench::{Audience, BenchError, Plan, run as compare};
 use crate::solution::{Staging, cannot_write};
 
@@ -85,7 +85,10 @@ pub(super) fn written(
     staging.add().map_err(cannot_write(folder))?;
     progress.finish();
     if output.json {
-        let files: Vec<_> = files.iter().map(|file| folder.join(file)).collect();
+        let files: Vec<_> = files
+            .iter()
+            .map(|file| json_path(&folder.join(file)))
+            .collect();
         print_json(&serde_json::json!({ "files": files }));
     } else if !output.quiet {
         print_line(&format!("{}: {}", folder.display(), files.join(", ")));

@@ -7,7 +7,7 @@ use anyhow::bail;
 use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::render::{check_apart, check_output};
-use super::{OutputArgs, print_json, print_line};
+use super::{OutputArgs, json_path, print_json, print_line};
 use crate::capture::read_cameras;
 use crate::interchange::{
     Anchor, Form, Job, JobError, MapLayout, Orientation, Source, USUAL_F0, export, reflectance,
@@ -142,8 +142,9 @@ pub(super) fn run(args: &ExportArgs, output: OutputArgs) -> anyhow::Result<()> {
     })?;
     progress.finish();
     if output.json {
+        let files: Vec<_> = exported.files.iter().map(|file| json_path(file)).collect();
         print_json(&serde_json::json!({
-            "files": exported.files,
+            "files": files,
             "notes": exported.notes,
             "beckmann_db": exported.fidelity.map(|f| f.beckmann_db),
             "ggx_db": exported.fidelity.map(|f| f.ggx_db),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{anyhow, bail};
 
-use super::{OutputArgs, demo};
+use super::{OutputArgs, demo, print_message};
 use crate::app;
 use crate::worker::Source;
 
@@ -43,7 +43,7 @@ pub(super) fn run_or_demo(path: Option<&Path>, output: OutputArgs) -> anyhow::Re
     }
     match run(path) {
         Err(error) if path.is_none() => {
-            eprintln!("rekindle: {error:#}. Running the demo.");
+            print_message(&format!("rekindle: {error:#}. Running the demo."));
             demo::run(output)
         }
         result => result,

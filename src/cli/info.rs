@@ -1,9 +1,11 @@
 //! `rekindle info CAPTURE`: what is in a capture and what is wrong with it.
 
+use super::print_report;
 use crate::capture::Capture;
 use crate::preflight::{Finding, MeshReport, Report, Severity, ViewReport};
+use crate::text::printable;
+use anyhow::Context as _;
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::Path;
 
 /// Checks the capture at `path` and prints the report on stdout, as text or as one JSON object.
@@ -13,10 +15,9 @@ pub fn run(path: &Path, json: bool) -> anyhow::Result<()> {
     let text = if json {
         serde_json::to_string(&report)? + "\n"
     } else {
-        text(&report)
+        printable(&text(&report)).into_owned()
     };
-    std::io::stdout().lock().write_all(text.as_bytes())?;
-    Ok(())
+    print_report(&text).context("the report can't be printed")
 }
 
 /// The report as aligned lines.

@@ -19,7 +19,7 @@ static ASKED: AtomicBool = AtomicBool::new(false);
 /// Listens for Ctrl-C from now on.
 pub(super) fn listen() -> anyhow::Result<()> {
     ctrlc::set_handler(|| {
-        ASKED.store(true, Ordering::Relaxed);
+        ASKED.store(true, Ordering::SeqCst);
         sleep(GRACE);
         abandon_unfinished();
         std::process::exit(INTERRUPTED.into());
@@ -27,9 +27,20 @@ pub(super) fn listen() -> anyhow::Result<()> {
     .context("can't listen for Ctrl-C")
 }
 
+/// Makes writing beyond the limit on the size of files fail like a full disk, where it would end the program.
+pub(super) fn outlive_file_limit() -> anyhow::Result<()> {
+    #[cfg(unix)]
+    {
+        let reached = std::sync::Arc::new(AtomicBool::new(false));
+        signal_hook::flag::register(signal_hook::consts::SIGXFSZ, reached)
+            .context("can't listen for the limit on the size of files")?;
+    }
+    Ok(())
+}
+
 /// Whether the command is to stop.
 pub(super) fn asked() -> bool {
-    ASKED.load(Ordering::Relaxed)
+    ASKED.load(Ordering::SeqCst)
 }
 
 /// Fails with [`Interrupted`] if the command is to stop.

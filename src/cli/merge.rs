@@ -10,9 +10,10 @@ use serde_json::{Value, json};
 use super::interrupt;
 use super::progress::Progress;
 use super::render::check_output;
-use super::{OutputArgs, print_json, print_line};
+use super::{OutputArgs, json_path, print_json, print_line};
 use crate::capture::{Group, KNOTS, MergedPhoto, Origin, Photos, Response};
 use crate::solution::{Staging, cannot_write, check_overwrites_no_input, write_rgb, write_rgba};
+use crate::text::csv_cell;
 
 /// Files that tell how the pictures were merged.
 const REPORTS: [&str; 4] = [
@@ -66,7 +67,9 @@ pub(super) fn run(args: &MergeArgs, output: OutputArgs) -> anyhow::Result<()> {
         .map_err(cannot_write(&args.output))?;
     progress.finish();
     if output.json {
-        print_json(&json!({ "folder": args.output, "response": response, "views": views }));
+        print_json(
+            &json!({ "folder": json_path(&args.output), "response": response, "views": views }),
+        );
     } else if !output.quiet {
         print_text(&args.output, &response, &views);
     }
@@ -158,10 +161,7 @@ fn response_csv(response: &Response) -> String {
 
 fn weights_csv(views: &[Value]) -> String {
     let mut text = "picture,file,amount,weight,clipped,measured_factor\n".to_owned();
-    let quoted = |value: &Value| {
-        let plain = value.as_str().unwrap_or_default();
-        format!("\"{}\"", plain.replace('"', "\"\""))
-    };
+    let quoted = |value: &Value| csv_cell(value.as_str().unwrap_or_default());
     let number = |value: &Value| value.as_f64().map_or_else(String::new, |v| v.to_string());
     for view in views {
         for exposure in view["exposures"].as_array().into_iter().flatten() {

@@ -10,6 +10,7 @@ mod info;
 mod info_solution;
 mod interrupt;
 mod merge;
+mod print;
 mod progress;
 mod render;
 mod solve;
@@ -19,10 +20,12 @@ mod synth;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use clap::{Args, Parser, Subcommand};
 use interrupt::{INTERRUPTED, Interrupted};
+use print::{json_path, print_json, print_line, print_message, print_report};
 
+use crate::memory;
 use crate::worker::message;
 
 /// Exit status for bad input and usage, as clap's own.
@@ -56,6 +59,9 @@ struct OutputArgs {
     /// Number of threads (default: one per core)
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+    /// Most memory that captures may take, such as 8G (default: three quarters of the machine's)
+    #[arg(long, global = true, value_name = "BYTES", value_parser = memory::parse)]
+    memory: Option<u64>,
 }
 
 #[derive(Subcommand)]
@@ -119,21 +125,24 @@ pub fn run() -> ExitCode {
     };
     match execute(&cli) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) if error.is::<Interrupted>() => ExitCode::from(INTERRUPTED),
+        // What was being written is taken away then, so that other errors may come of it.
+        Err(error) if error.is::<Interrupted>() || interrupt::asked() => {
+            ExitCode::from(INTERRUPTED)
+        }
         Err(error) => {
-            eprintln!("rekindle: {}", message(&error));
+            print_message(&format!("rekindle: {}", message(&error)));
             ExitCode::from(BAD_INPUT)
         }
     }
 }
 
 fn execute(cli: &Cli) -> anyhow::Result<()> {
+    check_space(cli.output.threads)?;
     interrupt::listen()?;
-    if let Some(threads) = cli.output.threads {
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(threads.into())
-            .build_global()
-            .context("can't start the threads")?;
+    interrupt::outlive_file_limit()?;
+    start_threads(cli.output.threads)?;
+    if let Some(bytes) = cli.output.memory {
+        memory::set_limit(bytes);
     }
     match &cli.command {
         None => gui::run_or_demo(cli.path.as_deref(), cli.output),
@@ -158,14 +167,23 @@ fn execute(cli: &Cli) -> anyhow::Result<()> {
     }
 }
 
-/// Prints a command's result as one JSON object. A reader that went away is no error.
-fn print_json(value: &serde_json::Value) {
-    use std::io::Write as _;
-    let _ = writeln!(std::io::stdout(), "{value}");
+/// Refuses to start where memory would run out before anything is read: the allocator ends a program without a word.
+fn check_space(threads: Option<u16>) -> anyhow::Result<()> {
+    let all = || std::thread::available_parallelism().map_or(1, usize::from);
+    if let Some([needed, allowed]) = memory::missing_space(threads.map_or_else(all, usize::from)) {
+        bail!(
+            "{} of address space are needed to start, and the process is allowed {}; raise the limit (ulimit -v) or use fewer threads (--threads 1)",
+            memory::in_words(needed),
+            memory::in_words(allowed)
+        );
+    }
+    Ok(())
 }
 
-/// Prints a line of a command's result. A reader that went away is no error.
-fn print_line(line: &str) {
-    use std::io::Write as _;
-    let _ = writeln!(std::io::stdout(), "{line}");
+/// Starts the threads that share the work, one per core unless stated.
+fn start_threads(threads: Option<u16>) -> anyhow::Result<()> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.map_or(0, usize::from))
+        .build_global()
+        .context("can't start the threads; use fewer (--threads 1), or raise the limits of memory and processes (ulimit)")
 }

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::OutputArgs;
+use super::{OutputArgs, print_message};
+use crate::text::printable;
 
 /// Steps of the bar.
 const STEPS: u64 = 1000;
@@ -42,10 +43,10 @@ impl Progress {
         if let Some(bar) = &self.bar {
             bar.set_position((fraction.clamp(0.0, 1.0) * STEPS as f32) as u64);
             if self.stage != what {
-                bar.set_message(what.to_owned());
+                bar.set_message(printable(what).into_owned());
             }
         } else if !self.quiet && self.stage != what {
-            eprintln!("{what}");
+            print_message(what);
         }
         if self.stage != what {
             what.clone_into(&mut self.stage);
@@ -59,8 +60,8 @@ impl Progress {
         }
         let line = format!("warning: {warning}");
         match &self.bar {
-            Some(bar) => bar.suspend(|| eprintln!("{line}")),
-            None => eprintln!("{line}"),
+            Some(bar) => bar.suspend(|| print_message(&line)),
+            None => print_message(&line),
         }
     }
 

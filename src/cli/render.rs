@@ -8,7 +8,7 @@ use glam::Vec3;
 
 use super::interrupt;
 use super::progress::Progress;
-use super::{OutputArgs, print_json, print_line};
+use super::{OutputArgs, json_path, print_json, print_line};
 use crate::capture::{Camera, input_files, read_cameras};
 use crate::export::{self, Depth, PngFile, Shown};
 use crate::relight::{self, Edit, Picture};
@@ -63,7 +63,10 @@ pub(super) fn run(args: &RenderArgs, output: OutputArgs) -> anyhow::Result<()> {
     staging.add().map_err(cannot_write(&args.output))?;
     progress.finish();
     if output.json {
-        let pictures: Vec<_> = files.iter().map(|f| args.output.join(f)).collect();
+        let pictures: Vec<_> = files
+            .iter()
+            .map(|f| json_path(&args.output.join(f)))
+            .collect();
         print_json(&serde_json::json!({ "pictures": pictures }));
     } else if !output.quiet {
         let plural = if shots.len() == 1 { "" } else { "s" };

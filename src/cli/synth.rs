@@ -9,7 +9,7 @@ use clap::ValueEnum;
 
 use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
-use super::{OutputArgs, print_json, print_line};
+use super::{OutputArgs, json_path, print_json, print_line};
 use crate::synth::{
     Encode, Files, GeometryErrors, Lamps, Light, Material, Normals, Object, Places, Recipe, Sensor,
     SynthError, Views, check_destination, make,
@@ -408,7 +408,7 @@ pub(super) fn run(args: &SynthArgs, output: OutputArgs) -> anyhow::Result<()> {
     progress.finish();
     let views = recipe.views.count;
     if output.json {
-        print_json(&serde_json::json!({ "capture": args.output, "views": views }));
+        print_json(&serde_json::json!({ "capture": json_path(&args.output), "views": views }));
     } else if !output.quiet {
         let plural = if views == 1 { "" } else { "s" };
         print_line(&format!(

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 
 use super::asset::{Asset, angular_radius};
 use crate::relight::{LampNodes, LightNode};
+use crate::text::csv_cell;
 
 /// A lamp in the few numbers that other programs' lamps have.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,8 +93,8 @@ pub fn csv(asset: &Asset) -> String {
         // Writing into a string can't fail.
         let _ = writeln!(
             text,
-            "\"{}\",{},{},{},{},{},{},{}",
-            lamp.name.replace('"', "\"\""),
+            "{},{},{},{},{},{},{},{}",
+            csv_cell(&lamp.name),
             d.x,
             d.y,
             d.z,

@@ -11,6 +11,7 @@ use glam::{DMat4, DVec3, Vec3};
 use super::asset::{Asset, angular_radius};
 use crate::capture::Camera;
 use crate::estimate::SpecularModel;
+use crate::text::xml_attribute;
 
 /// Files that the scene names.
 pub struct Files<'a> {
@@ -44,14 +45,14 @@ pub fn scene(asset: &Asset, files: &Files) -> String {
     let _ = write!(
         text,
         "    <shape type=\"obj\">\n        <string name=\"filename\" value=\"{}\"/>\n",
-        escaped(files.mesh)
+        xml_attribute(files.mesh)
     );
     material(&mut text, asset, files.base_colour);
     text.push_str("    </shape>\n");
     let _ = write!(
         text,
         "    <emitter type=\"envmap\">\n        <string name=\"filename\" value=\"{}\"/>\n    </emitter>\n",
-        escaped(files.light)
+        xml_attribute(files.light)
     );
     near_lamps(&mut text, asset);
     text.push_str("</scene>\n");
@@ -63,7 +64,7 @@ fn material(text: &mut String, asset: &Asset, base_colour: &str) {
     let texture = |name: &str| {
         format!(
             "<texture type=\"bitmap\" name=\"{name}\"><string name=\"filename\" value=\"{}\"/><boolean name=\"raw\" value=\"true\"/></texture>",
-            escaped(base_colour)
+            xml_attribute(base_colour)
         )
     };
     let lobe = format!(
@@ -126,7 +127,7 @@ fn sensor(text: &mut String, name: &str, camera: &Camera) {
          \x20       <film type=\"hdrfilm\"><integer name=\"width\" value=\"{}\"/><integer name=\"height\" value=\"{}\"/>\
          <string name=\"pixel_format\" value=\"rgba\"/><rfilter type=\"box\"/></film>\n\
          \x20   </sensor>\n",
-        escaped(&name.replace('.', "_")),
+        xml_attribute(&name.replace('.', "_")),
         0.5 - camera.centre.x / width,
         0.5 - camera.centre.y / height,
         rows.join(" "),
@@ -160,11 +161,4 @@ fn near_lamps(text: &mut String, asset: &Asset) {
             radiance.z
         );
     }
-}
-
-/// Text that is safe in an XML attribute.
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('"', "&quot;")
 }

@@ -4,7 +4,6 @@
 //! picked. `solo` mutes every other lamp and takes away what else casts light, except the ambient part, which
 //! has a gain of its own.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -15,6 +14,7 @@ use thiserror::Error;
 
 use super::environment::LatLong;
 use super::lighting::{LampNodes, Lighting};
+use crate::files;
 
 /// The operations there are, as the messages list them.
 const OPERATIONS: &str = "mute, solo, gain, move, add, delete, environment, ambient, remainder";
@@ -192,7 +192,7 @@ fn one() -> f32 {
 
 /// Reads an edits file and the environment pictures it names, relative to its folder.
 pub fn load(path: &Path) -> Result<Vec<Edit>, EditError> {
-    let text = fs::read_to_string(path).map_err(|source| EditError::Read {
+    let text = files::read_text(path).map_err(|source| EditError::Read {
         path: path.to_owned(),
         source,
     })?;
@@ -399,6 +399,8 @@ pub fn apply(edits: &[Edit], lighting: &Lighting) -> Result<Lighting, EditError>
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::damage::{Random, damaged};
     use crate::relight::LightNode;

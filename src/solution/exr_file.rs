@@ -1,9 +1,12 @@
 //! Pictures and textures as EXR files, lossless: as half floats where all numbers are such, else as 32-bit floats.
 
-use std::io;
+use std::io::{self, BufReader};
 use std::path::Path;
 
 use exr::prelude::*;
+
+use crate::capture::exr_problem;
+use crate::files;
 
 /// More texels than a byte of a compressed file can hold.
 const TEXELS_PER_BYTE: u64 = 8_192;
@@ -81,7 +84,10 @@ fn are_halves(values: &[f32]) -> bool {
 
 /// Checks that a file has the stated size before memory is taken for what its header announces.
 fn check_header(path: &Path, width: u32, height: u32) -> std::result::Result<(), String> {
-    let meta = MetaData::read_from_file(path, false).map_err(|e| e.to_string())?;
+    let meta = {
+        let file = files::open(path).map_err(|e| format!("it can't be read: {e}"))?;
+        MetaData::read_from_buffered(BufReader::new(file), false).map_err(|e| exr_problem(&e))?
+    };
     let length = std::fs::metadata(path).map_err(|e| e.to_string())?.len();
     let texels = u64::from(width) * u64::from(height);
     if texels > TEXELS_PER_BYTE * length {
@@ -114,7 +120,7 @@ pub fn read_rgb(
             pixels[at.1 * *width + at.0] = [r, g, b];
         },
     )
-    .map_err(|e| e.to_string())?;
+    .map_err(|e| exr_problem(&e))?;
     let (_, pixels) = picture.layer_data.channel_data.pixels;
     if pixels.iter().flatten().all(|v| v.is_finite()) {
         Ok(pixels)
@@ -138,7 +144,7 @@ pub fn read_gray(path: &Path, width: u32, height: u32) -> std::result::Result<Ve
         .first_valid_layer()
         .all_attributes()
         .from_file(path)
-        .map_err(|e| e.to_string())?;
+        .map_err(|e| exr_problem(&e))?;
     let (_, pixels) = picture.layer_data.channel_data.pixels;
     if pixels.iter().all(|v| v.is_finite()) {
         Ok(pixels)

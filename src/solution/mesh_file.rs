@@ -9,6 +9,7 @@ use std::path::Path;
 use glam::{Vec2, Vec3};
 
 use crate::capture::Mesh;
+use crate::files;
 
 /// A mesh with the texture coordinates of every triangle's corners, v upwards, both in [0, 1].
 #[derive(Clone, Debug, PartialEq)]
@@ -70,7 +71,7 @@ pub fn write_ply(path: &Path, mesh: &Mesh, corner_uvs: &[[Vec2; 3]]) -> io::Resu
 
 /// Reads what [`write_ply`] wrote; the error says what is wrong with the file.
 pub fn read_ply(path: &Path) -> Result<TexturedMesh, String> {
-    let bytes = fs::read(path).map_err(|e| format!("it can't be read: {e}"))?;
+    let bytes = files::read(path).map_err(|e| format!("it can't be read: {e}"))?;
     let marker = b"end_header\n";
     let end = bytes
         .windows(marker.len())

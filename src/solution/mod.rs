@@ -45,6 +45,7 @@ use rayon::prelude::*;
 
 use crate::capture::{Camera, Mesh, read_cameras, transforms};
 use crate::estimate::{Brdf, Diagnostics, Iteration, Method};
+use crate::files;
 use crate::hemisphere::{HemisphereGrid, Picture, lat_long};
 use crate::registration::Correction;
 use crate::relight::{LampNodes, LightNode, Lighting};
@@ -585,7 +586,7 @@ fn write_json(path: &Path, value: &impl serde::Serialize, pretty: bool) -> io::R
 }
 
 fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, SolutionError> {
-    let text = fs::read(path).map_err(|source| SolutionError::Read {
+    let text = files::read(path).map_err(|source| SolutionError::Read {
         path: path.to_owned(),
         source,
     })?;

@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 
 use super::{Staging, write_plain_obj};
 use crate::capture::Mesh;
+use crate::files;
 
 /// The capture's own manifest, into which a transform can be written.
 pub fn manifest_of(capture: &Path) -> Option<PathBuf> {
@@ -22,7 +23,7 @@ pub fn manifest_of(capture: &Path) -> Option<PathBuf> {
 
 /// Writes a transform, after the one that is stated already, into a manifest; the file appears whole or not at all.
 pub fn write_mesh_transform(manifest: &Path, transform: &DMat4) -> io::Result<()> {
-    let mut value: Value = serde_json::from_slice(&fs::read(manifest)?)?;
+    let mut value: Value = serde_json::from_slice(&files::read(manifest)?)?;
     let before = value.get("mesh_transform").and_then(matrix);
     let matrix = *transform * before.unwrap_or(DMat4::IDENTITY);
     value["mesh_transform"] = json!(matrix.transpose().to_cols_array_2d());

@@ -16,6 +16,7 @@ use thiserror::Error;
 use super::document::{Document, State};
 use super::lamp::Baseline;
 use super::look::ProbeLight;
+use crate::files;
 use crate::solution::{Solution, SolutionError, write_advice};
 
 /// Extension of project files, without the dot.
@@ -399,7 +400,7 @@ fn read(path: &Path) -> Result<(File, Document, Vec<String>), ProjectError> {
 }
 
 fn parse(path: &Path) -> Result<File, ProjectError> {
-    let text = fs::read(path).map_err(|source| ProjectError::Read {
+    let text = files::read(path).map_err(|source| ProjectError::Read {
         path: path.to_owned(),
         source,
     })?;

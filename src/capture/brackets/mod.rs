@@ -16,7 +16,7 @@ mod tests;
 
 pub use groups::{Group, Photo};
 pub use merge::ExposureUse;
-pub(super) use merge::{Merged, Part, merge};
+pub(super) use merge::{Part, merge};
 pub use photos::{MergedPhoto, Photos};
 pub(super) use response::srgb_to_linear;
 pub use response::{KNOTS, Origin, Response};

@@ -1,7 +1,7 @@
 //! What a file's EXIF data say of how it was taken.
 
+use crate::files;
 use exif::{Exif, In, Reader, Tag, Value};
-use std::fs::File;
 use std::io::{BufRead, BufReader, Seek};
 use std::path::Path;
 
@@ -46,11 +46,7 @@ pub struct Shot {
 impl Shot {
     /// Reads what a file says; a file without EXIF data says nothing.
     pub fn read(path: &Path) -> Self {
-        // Devices and pipes may never end.
-        if !path.is_file() {
-            return Self::default();
-        }
-        File::open(path).map_or_else(
+        files::open(path).map_or_else(
             |_| Self::default(),
             |file| Self::parse(&mut BufReader::new(file)),
         )

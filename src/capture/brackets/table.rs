@@ -6,6 +6,7 @@
 
 use super::super::error::CaptureError;
 use super::shot::Settings;
+use crate::files;
 use std::path::{Path, PathBuf};
 
 /// What the table beside a manifest is called.
@@ -31,7 +32,7 @@ impl Table {
 
     /// Reads a table.
     pub fn read(path: &Path) -> Result<Self, CaptureError> {
-        let bytes = std::fs::read(path).map_err(|source| CaptureError::Unreadable {
+        let bytes = files::read(path).map_err(|source| CaptureError::Unreadable {
             path: path.to_owned(),
             source,
         })?;
