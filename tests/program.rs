@@ -357,21 +357,20 @@ fn paths_may_hold_any_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let odd = |name: &[u8]| folder.path().join(std::ffi::OsStr::from_bytes(name));
     let source = capture("spot_paper");
-    let program = || {
+    let program = |name: &str| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_rekindle"));
-        command.args(["--json", "--quiet"]);
+        command.args([name, "--json", "--quiet"]);
         command
     };
     let solution = odd(b"solution\xff");
-    let solve = program()
-        .args(["solve", "--frequency", "20"])
+    let solve = program("solve")
+        .args(["--frequency", "20"])
         .arg(&source)
         .arg("-o")
         .arg(&solution)
         .output();
     assert_eq!(solve.unwrap().status.code(), Some(0));
-    let render = program()
-        .arg("render")
+    let render = program("render")
         .arg(&solution)
         .arg("--cameras")
         .arg(source.join("transforms.json"))
@@ -382,8 +381,8 @@ fn paths_may_hold_any_bytes() {
     assert_eq!(render.status.code(), Some(0));
     let printed: Value = serde_json::from_slice(&render.stdout).unwrap();
     assert_eq!(printed["pictures"].as_array().unwrap().len(), 12);
-    let export = program()
-        .args(["export", "--for", "light", "--size", "64"])
+    let export = program("export")
+        .args(["--for", "light", "--size", "64"])
         .arg(&solution)
         .arg("-o")
         .arg(odd(b"files\xfd"))
