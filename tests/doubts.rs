@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use exr::prelude::{read_first_rgba_layer_from_file, write_rgba_file};
-use glam::{DMat4, Vec3};
+use glam::{DAffine3, Vec3};
 use rekindle::capture::{Capture, Photograph};
 use rekindle::estimate::{EstimateParams, Unobserved};
 use rekindle::solution::{Solution, SolveOptions, solve};
@@ -143,9 +143,9 @@ fn a_view_that_contradicts_the_others_is_named() {
     let wrong = changed("spot_paper", |capture| {
         // Carried about the object by half a degree.
         let centre = capture.mesh.centre().as_dvec3();
-        let turn = DMat4::from_translation(centre)
-            * DMat4::from_rotation_y(0.5_f64.to_radians())
-            * DMat4::from_translation(-centre);
+        let turn = DAffine3::from_translation(centre)
+            * DAffine3::from_rotation_y(0.5_f64.to_radians())
+            * DAffine3::from_translation(-centre);
         let camera = &mut capture.views[1].camera;
         camera.world_from_camera = turn * camera.world_from_camera;
     });

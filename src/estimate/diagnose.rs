@@ -1,11 +1,11 @@
 //! When the data can't say: no separation, no specular part, nothing that determines it.
 
-use super::fast::{CoarseFit, Fit, Solver};
+use super::fast::{CoarseFit, Fit};
 use super::misfit::Misfit;
 use super::observations::{Observations, Seen};
 use super::relief::RefinedSurface;
 use super::state::State;
-use super::suspects::{Suspect, Suspicion};
+use super::suspects::{Suspect, Suspicion, determines_roughness};
 use super::weights::median;
 use crate::capture::{Capture, View};
 
@@ -99,10 +99,9 @@ const NO_DETAIL: &str = "The lighting has no detail sharp enough to tell its own
     sky. Everything is taken as diffuse; add a lamp or photograph under light with an edge.";
 
 /// Why a coarse fit's lobe is no highlight, if it isn't: any other would do about as well, or it spans the hemisphere.
-pub fn not_sharp(solver: &Solver<'_>, coarse: &CoarseFit<'_>) -> Option<String> {
+pub fn not_sharp(coarse: &CoarseFit<'_>) -> Option<String> {
     let broad = coarse.state.brdf.sigma > WIDEST_LOBE;
-    let open =
-        || coarse.state.light_extent() > BROAD_LIGHT && !solver.determines_roughness(&coarse.state);
+    let open = || coarse.state.light_extent() > BROAD_LIGHT && !determines_roughness(&coarse.state);
     (broad || coarse.sharpness < LEAST_SHARPNESS || open()).then(|| NO_DETAIL.to_owned())
 }
 

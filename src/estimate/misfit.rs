@@ -102,7 +102,7 @@ fn common_views(
     other: &Point,
 ) -> impl Iterator<Item = (usize, usize)> {
     let (first, second) = (one.rows.clone(), other.rows.clone());
-    first.flat_map(move |i| {
+    first.filter_map(move |i| {
         let view = observations.rows[i].view;
         let same = second.clone().find(|&j| observations.rows[j].view == view);
         same.map(|j| (i, j))
@@ -164,9 +164,9 @@ impl TiltFit {
         let (mut gram, mut right, mut all) = ([0.0_f64; 3], [0.0_f64; 2], 0.0_f64);
         for k in point.rows.clone() {
             let w = f64::from(state.weights[k]);
-            for c in 0..3 {
-                let [a, b] = [0, 1].map(|t| f64::from(derivatives[t][k][c]));
-                let r = f64::from(state.residuals.values[k][c]);
+            let [by_first, by_second] = [0, 1].map(|t| derivatives[t][k].map(f64::from));
+            let left = state.residuals.values[k].map(f64::from);
+            for ((a, b), r) in by_first.into_iter().zip(by_second).zip(left) {
                 gram[0] += w * a * a;
                 gram[1] += w * a * b;
                 gram[2] += w * b * b;

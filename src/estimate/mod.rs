@@ -271,11 +271,8 @@ fn run(
         observer,
     };
     let (coarse, mut because) = choose(&solver, params.specular, &mut watch)?;
-    if let Some(reason) = diagnose::no_specular(&coarse.state) {
-        result.diagnostics.warnings.push(reason);
-        return Ok(result);
-    }
-    if let Some(reason) = diagnose::not_sharp(&solver, &coarse) {
+    let refused = diagnose::no_specular(&coarse.state).or_else(|| diagnose::not_sharp(&coarse));
+    if let Some(reason) = refused {
         result.diagnostics.warnings.push(reason);
         return Ok(result);
     }

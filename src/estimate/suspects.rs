@@ -5,6 +5,9 @@
 //! wins in more parts of the surface than chance would have it: points are gathered in groups of like normals, and the groups'
 //! differences are ranked (Wilcoxon, "Individual comparisons by ranking methods", 1945). So no single highlight decides.
 
+use std::ops::{ControlFlow, Range};
+use std::sync::atomic::Ordering;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -14,8 +17,6 @@ use super::observations::Observations;
 use super::observer::{Stopped, go_on};
 use super::state::{ROUGH, State};
 use super::weights::magnitude;
-use std::ops::ControlFlow;
-use std::sync::atomic::Ordering;
 
 /// An assumption that the photographs contradict.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -100,9 +101,8 @@ fn left(state: &State<'_>) -> Vec<f64> {
     let taken = (observations.points.len() + state.lit().len()) as f64;
     let scale = rows / (rows - taken).max(1.0) / all.max(f64::MIN_POSITIVE);
     let residuals = &state.residuals.values;
-    let of_point = |rows: std::ops::Range<usize>| -> f64 {
-        rows.map(|k| f64::from(magnitude(residuals[k]))).sum()
-    };
+    let of_point =
+        |rows: Range<usize>| -> f64 { rows.map(|k| f64::from(magnitude(residuals[k]))).sum() };
     (observations.points.iter())
         .map(|point| scale * of_point(point.rows.clone()))
         .collect()
@@ -126,18 +126,18 @@ pub fn signed_ranks(first: &[f64], second: &[f64]) -> f64 {
     signed / (n * (n + 1.0) * (2.0 * n + 1.0) / 6.0).max(1.0).sqrt()
 }
 
-impl Solver<'_> {
-    /// Whether a coarse fit's roughness stands out against a rougher and a smoother one: neither of them may do as well in so
-    /// many parts of the surface that chance could have decided.
-    pub fn determines_roughness(&self, fit: &State<'_>) -> bool {
-        let own = left(fit);
-        let sigma = fit.brdf.sigma;
-        [sigma / STARTS[2], sigma * STARTS[2]]
-            .into_par_iter()
-            .map(|other| signed_ranks(&left(&fit.lit_at(other)), &own))
-            .all(|z| z > SURE)
-    }
+/// Whether a coarse fit's roughness stands out against a rougher and a smoother one: neither of them may do as well in so
+/// many parts of the surface that chance could have decided.
+pub fn determines_roughness(fit: &State<'_>) -> bool {
+    let own = left(fit);
+    let sigma = fit.brdf.sigma;
+    [sigma / STARTS[2], sigma * STARTS[2]]
+        .into_par_iter()
+        .map(|other| signed_ranks(&left(&fit.lit_at(other)), &own))
+        .all(|z| z > SURE)
+}
 
+impl Solver<'_> {
     /// What the photographs contradict, if there is anything, looked for from a coarse fit of everything as stated.
     pub fn suspicion(&self, fit: &State<'_>) -> Result<Option<Suspicion>, Stopped> {
         let colour = self.coarse_colours();
@@ -195,7 +195,7 @@ impl Solver<'_> {
         // What is left in the rows of third views is compared.
         let third = |one: usize, other: usize, left: &[f64]| -> Vec<f64> {
             let points = self.coarse.points.iter();
-            let of_point = |rows: std::ops::Range<usize>| -> f64 {
+            let of_point = |rows: Range<usize>| -> f64 {
                 rows.filter(|&k| ![one, other].contains(&self.coarse.rows[k].view))
                     .map(|k| left[k])
                     .sum()
