@@ -166,6 +166,7 @@ fn equations() -> NormalEquations {
         near: None,
         seen: SeenCells::default(),
         diffuse_known: false,
+        long_tails: false,
         shortcuts: &SHORTCUTS,
         workspace: &WORKSPACE,
         stop: &NEVER,
@@ -176,7 +177,7 @@ fn equations() -> NormalEquations {
 /// One row of the matrix: all coarsest cells at a point, in a view.
 fn lobes(bencher: &Bencher) {
     let geometry = DEMO.pyramid.geometry(&CELLS);
-    let lobes = CellLobes::new(&BRDF, &geometry, None, false);
+    let lobes = CellLobes::new(&BRDF, &geometry, None, false, false);
     let point = &OBSERVATIONS.points[0];
     let to_camera = OBSERVATIONS.rows[point.rows.start].to_camera;
     let terms = BRDF.view_terms(point.normal, to_camera);
