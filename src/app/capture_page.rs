@@ -164,6 +164,16 @@ impl CapturePage {
         self.placing.save_mesh(worker, path);
     }
 
+    /// Whether the mesh lies elsewhere than any file says.
+    pub fn has_unsaved_place(&self) -> bool {
+        self.placing.is_unsaved()
+    }
+
+    /// Writes the mesh's place into the capture, or, where it has no file for it, asks where to write the mesh.
+    pub(super) fn save_place(&mut self, worker: &mut Worker) {
+        self.placing.save_place(worker);
+    }
+
     /// What came of saving the mesh's place, once: the file, or what went wrong.
     pub fn take_saved(&mut self) -> Option<Result<PathBuf, String>> {
         self.placing.take_saved()

@@ -373,7 +373,7 @@ pub const ENTRIES: &[Entry] = &[
         "Stop",
         Menu::Estimate,
         Some((NONE, Key::Escape)),
-        "Stop what is running; nothing of it is kept",
+        "Stop what is running; by its key, an estimation keeps the best so far",
     ),
     entry(
         Action::ShowCapture,

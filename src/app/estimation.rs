@@ -228,12 +228,12 @@ impl Estimation {
         if matches!(self.state, State::Running | State::Stopping) {
             ui.add_enabled_ui(self.state == State::Running, |ui| {
                 let stop = ui.button("Stop");
-                if stop.on_hover_text("Stop and keep nothing (Esc)").clicked() {
+                if stop.on_hover_text("Stop and keep nothing").clicked() {
                     give(Action::Stop);
                 }
                 let keep = ui.button("Stop and keep best");
                 let tip =
-                    "End the estimation with what it has reached and relight with that (Ctrl+.)";
+                    "End the estimation with what it has reached and relight with that (Ctrl+. or Esc)";
                 if keep.on_hover_text(tip).clicked() {
                     give(Action::KeepBest);
                 }

@@ -180,8 +180,24 @@ impl App {
         Ok(app)
     }
 
+    fn is_solving(&self) -> bool {
+        let doing = self.job.as_ref().map(|job| &job.doing);
+        matches!(doing, Some(Doing::Solving))
+    }
+
+    /// Whether the mesh was put elsewhere and its place not saved.
+    fn has_unsaved_place(&self) -> bool {
+        self.capture
+            .as_ref()
+            .is_some_and(CapturePage::has_unsaved_place)
+    }
+
     /// Whether there is work that would be lost.
     fn has_unsaved_work(&self) -> bool {
+        self.has_unsaved_place() || self.has_unsaved_document()
+    }
+
+    fn has_unsaved_document(&self) -> bool {
         let Some(document) = self.relighting.as_ref().map(Relighting::document) else {
             return false;
         };
@@ -361,7 +377,7 @@ impl App {
                     self.notices.add(Weight::Note, "Alignment stopped", text);
                 }
                 if matches!(doing, Some(Doing::Exporting { .. })) {
-                    let text = "No file was written.";
+                    let text = "Pictures that were finished are in the folder.";
                     self.notices.add(Weight::Note, "Export stopped", text);
                 }
                 if let Some(estimation) = &mut self.estimation
@@ -413,6 +429,12 @@ impl App {
                     relighting.choose_probe(&mut self.worker, &path);
                 }
             }
+        }
+    }
+
+    fn save_place(&mut self) {
+        if let Some(page) = &mut self.capture {
+            page.save_place(&mut self.worker);
         }
     }
 
@@ -784,7 +806,13 @@ impl App {
                     continue;
                 }
                 if self.enabled(entry.action) && input.consume_shortcut(&keys) {
-                    actions.push(entry.action);
+                    // A key pressed by chance must not throw an estimation away.
+                    let keeps = entry.action == Action::Stop && self.is_solving();
+                    actions.push(if keeps {
+                        Action::KeepBest
+                    } else {
+                        entry.action
+                    });
                 }
             }
         });
@@ -867,11 +895,13 @@ impl App {
                 open_path::Answer::Path(path) => self.picked(open_path.purpose(), path),
             }
         }
-        let name = self
-            .relighting
-            .as_ref()
-            .map_or_else(String::new, |r| r.document().name());
+        let name = match &self.relighting {
+            Some(relighting) if self.has_unsaved_document() => relighting.document().name(),
+            _ => "The mesh's place".to_owned(),
+        };
         match self.projects.show(ctx, &name) {
+            // A mesh's place is saved here, a project perhaps after a dialog; then what was wanted can be asked for again.
+            Some(Answer::Save(_)) if self.has_unsaved_place() => self.save_place(),
             Some(Answer::Save(then)) => self.save(Some(then)),
             Some(Answer::Discard(then)) => self.go_on(ctx, then),
             Some(Answer::Cancel) | None => {}

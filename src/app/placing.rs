@@ -38,14 +38,16 @@ pub(super) struct State {
     pub(super) outcome: Option<Outcome>,
 }
 
-/// What came of writing a file: the file, and the place that is in it.
-type Saved = Result<(PathBuf, DMat4), String>;
+/// What came of writing a file: the file, the place that the capture's file has now, and the one that this file holds.
+type Saved = Result<(PathBuf, DMat4, DMat4), String>;
 
 /// The place of the mesh now, those before and after, and the place that the capture's file has.
 pub(super) struct Placing {
     pub(super) now: State,
     history: History<State>,
     written: DMat4,
+    /// The place that the last file written holds.
+    kept: DMat4,
     saving: bool,
     saved: Arc<Latest<Saved>>,
 }
@@ -61,6 +63,7 @@ impl Placing {
             },
             history: History::new(),
             written: DMat4::IDENTITY,
+            kept: DMat4::IDENTITY,
             saving: false,
             saved: Arc::default(),
         }
@@ -95,6 +98,27 @@ impl Placing {
         }
     }
 
+    /// Whether the mesh lies elsewhere than any file says.
+    pub(super) fn is_unsaved(&self) -> bool {
+        ![self.written, self.kept].contains(&self.now.moved)
+    }
+
+    /// Writes the place into the capture's file, or, where there is none, asks where to write the mesh.
+    pub(super) fn save_place(&mut self, worker: &mut Worker) {
+        match self.manifest() {
+            Some(manifest) => self.save(worker, manifest),
+            None => self.pick_mesh(worker),
+        }
+    }
+
+    fn pick_mesh(&self, worker: &mut Worker) {
+        let folder = match &self.now.opened.source {
+            Source::Demo => None,
+            Source::Path(path) => Some(path.as_path()),
+        };
+        worker.pick(Purpose::SaveMesh, folder);
+    }
+
     /// Writes the place into the capture's file.
     fn save(&mut self, worker: &mut Worker, manifest: PathBuf) {
         self.saving = true;
@@ -103,7 +127,7 @@ impl Placing {
         worker.aside("place", move || {
             let written = write_mesh_transform(&manifest, &further);
             saved.store(match written {
-                Ok(()) => Ok((manifest, moved)),
+                Ok(()) => Ok((manifest, moved, moved)),
                 Err(error) => Err(problem(&manifest, &error)),
             });
         });
@@ -113,11 +137,11 @@ impl Placing {
     pub(super) fn save_mesh(&mut self, worker: &mut Worker, path: PathBuf) {
         self.saving = true;
         let (opened, saved) = (Arc::clone(&self.now.opened), Arc::clone(&self.saved));
-        let written = self.written;
+        let (written, moved) = (self.written, self.now.moved);
         worker.aside("mesh", move || {
             saved.store(match write_placed_mesh(&path, &opened.capture.mesh) {
                 // The capture's own file still has the old place.
-                Ok(()) => Ok((path, written)),
+                Ok(()) => Ok((path, written, moved)),
                 Err(error) => Err(problem(&path, &error)),
             });
         });
@@ -127,8 +151,8 @@ impl Placing {
     pub(super) fn take_saved(&mut self) -> Option<Result<PathBuf, String>> {
         let saved = self.saved.take()?;
         self.saving = false;
-        Some(saved.map(|(path, place)| {
-            self.written = place;
+        Some(saved.map(|(path, written, kept)| {
+            (self.written, self.kept) = (written, kept);
             path
         }))
     }
@@ -220,11 +244,7 @@ impl Placing {
             .add_enabled(!self.saving, save)
             .on_hover_text("Write the mesh where it lies now as an OBJ file");
         if save.clicked() {
-            let folder = match &self.now.opened.source {
-                Source::Demo => None,
-                Source::Path(path) => Some(path.as_path()),
-            };
-            shared.worker.pick(Purpose::SaveMesh, folder);
+            self.pick_mesh(shared.worker);
         }
     }
 }

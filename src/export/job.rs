@@ -66,8 +66,11 @@ pub struct Job {
 #[derive(Debug, Error)]
 pub enum ExportError {
     /// It was asked for.
-    #[error("the export was stopped; nothing was written")]
-    Stopped,
+    #[error("the export was stopped; {kept} files of finished pictures were kept")]
+    Stopped {
+        /// How many files were complete by then, which were kept.
+        kept: usize,
+    },
     /// A size that can't be made.
     #[error("{width}×{height} pixels can't be exported; each side must be 1 to {limit}")]
     Size {
@@ -97,6 +100,45 @@ pub enum ExportError {
 }
 
 impl Job {
+    /// The same under names that no file in its folder has: a number is added to all where one is taken.
+    #[must_use]
+    pub fn beside_others(self) -> Self {
+        let is_free = |job: &Self| !job.files().any(|file| job.folder.join(file).exists());
+        if is_free(&self) {
+            return self;
+        }
+        let mut numbers = 2..;
+        let free = numbers.find_map(|number| {
+            let renamed = self.renamed(number);
+            is_free(&renamed).then_some(renamed)
+        });
+        free.unwrap_or(self)
+    }
+
+    fn renamed(&self, number: u32) -> Self {
+        let mut job = self.clone();
+        let add = |name: &mut String| name.push_str(&format!(" {number}"));
+        job.shots.iter_mut().for_each(|shot| add(&mut shot.stem));
+        job.animation.iter_mut().for_each(|(name, _)| add(name));
+        job.edits.iter_mut().for_each(|(name, _)| add(name));
+        job
+    }
+
+    /// Names of the files that it writes.
+    fn files(&self) -> impl Iterator<Item = String> {
+        let pictures = self.shots.iter().flat_map(|shot| {
+            let png = self.png.map(|_| format!("{}.png", shot.stem));
+            let exr = self.exr.then(|| format!("{}.exr", shot.stem));
+            png.into_iter().chain(exr)
+        });
+        let animation = self
+            .animation
+            .iter()
+            .map(|(name, _)| format!("{name}.apng"));
+        let edits = self.edits.iter().map(|(name, _)| format!("{name}.json"));
+        pictures.chain(animation).chain(edits)
+    }
+
     fn check(&self) -> Result<(), ExportError> {
         if self.shots.is_empty() || !(self.exr || self.png.is_some() || self.animation.is_some()) {
             return Err(ExportError::Nothing);
@@ -125,7 +167,7 @@ impl Job {
 }
 
 /// Makes all pictures of a job. `progress` hears which part of the whole is done, from 0 to 1, and what is being made;
-/// `stop` is asked all the time. Returns the files.
+/// `stop` is asked all the time, and pictures that are finished by then are kept. Returns the files.
 pub fn export(
     renderer: &Renderer,
     job: &Job,
@@ -133,16 +175,59 @@ pub fn export(
     progress: &mut dyn FnMut(f32, &str),
 ) -> Result<Vec<PathBuf>, ExportError> {
     job.check()?;
+    let failed = |source: io::Error| ExportError::Write {
+        path: job.folder.clone(),
+        source,
+    };
+    let staging = Staging::within(&job.folder).map_err(failed)?;
+    let mut finished = Vec::new();
+    match make(renderer, job, staging.path(), stop, progress, &mut finished) {
+        Ok(files) => {
+            staging.add().map_err(failed)?;
+            progress(1.0, "");
+            Ok(files.iter().map(|name| job.folder.join(name)).collect())
+        }
+        Err(ExportError::Stopped { .. }) if !finished.is_empty() => {
+            keep_only(staging.path(), &finished).map_err(failed)?;
+            staging.add().map_err(failed)?;
+            Err(ExportError::Stopped {
+                kept: finished.len(),
+            })
+        }
+        Err(error) => Err(error),
+    }
+}
+
+/// Removes all files of a folder but some.
+fn keep_only(folder: &Path, names: &[String]) -> io::Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        let is_kept = |name: &String| entry.file_name() == name.as_str();
+        if !names.iter().any(is_kept) {
+            std::fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// Makes the pictures in `folder`. `finished` hears of each file that is whole.
+fn make(
+    renderer: &Renderer,
+    job: &Job,
+    folder: &Path,
+    stop: Stop,
+    progress: &mut dyn FnMut(f32, &str),
+    finished: &mut Vec<String>,
+) -> Result<Vec<String>, ExportError> {
     let failed = |source: io::Error| {
         if stop() {
-            return ExportError::Stopped;
+            return ExportError::Stopped { kept: 0 };
         }
         ExportError::Write {
             path: job.folder.clone(),
             source,
         }
     };
-    let staging = Staging::within(&job.folder).map_err(failed)?;
     let display = |radiance: Vec3| job.transform.apply(radiance * job.exposure);
     let shown = Shown {
         display: &display,
@@ -151,7 +236,7 @@ pub fn export(
     let mut writer = Writer {
         job,
         shown,
-        folder: staging.path(),
+        folder,
         animation: None,
         files: Vec::new(),
     };
@@ -160,7 +245,7 @@ pub fn export(
         let done = |part: f32| (i as f32 + part) / job.shots.len() as f32;
         progress(done(0.0), &shot.stem);
         if stop() {
-            return Err(ExportError::Stopped);
+            return Err(ExportError::Stopped { kept: 0 });
         }
         let lighting = shot.lighting.as_ref();
         if lit.as_ref().is_none_or(|(before, ..)| *before != lighting) {
@@ -175,16 +260,16 @@ pub fn export(
             writer
                 .shoot(renderer.solution(), lit, layers, shot, stop, &mut rows_done)
                 .map_err(failed)?;
+            let whole = |name: &&String| !name.ends_with(".apng");
+            *finished = writer.files.iter().filter(whole).cloned().collect();
         }
     }
     writer.edits().map_err(failed)?;
     let files = writer.finish().map_err(failed)?;
     if stop() {
-        return Err(ExportError::Stopped);
+        return Err(ExportError::Stopped { kept: 0 });
     }
-    staging.add().map_err(failed)?;
-    progress(1.0, "");
-    Ok(files.iter().map(|name| job.folder.join(name)).collect())
+    Ok(files)
 }
 
 /// Writes the files of a job into a folder.

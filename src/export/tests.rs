@@ -305,9 +305,65 @@ fn a_stopped_export_leaves_nothing() {
             ..job(folder.path(), renderer.original())
         };
         let result = export(&renderer, &job, &stop, &mut |_, _| {});
-        assert!(matches!(result, Err(ExportError::Stopped)), "{result:?}");
+        assert!(
+            matches!(result, Err(ExportError::Stopped { kept: 0 })),
+            "{result:?}"
+        );
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
+}
+
+#[test]
+fn a_stopped_export_keeps_the_frames_that_are_finished() {
+    let solution = solution();
+    let renderer = Renderer::new(&solution);
+    let folder = tempfile::tempdir().unwrap();
+    let mut job = Job {
+        png: Some(Depth::Eight),
+        animation: Some(("film".to_owned(), 24)),
+        ..job(folder.path(), renderer.original())
+    };
+    let shot = job.shots[0].clone();
+    job.shots = (0..3)
+        .map(|k| Shot {
+            stem: format!("film_{k}"),
+            ..shot.clone()
+        })
+        .collect();
+    // The third frame is never begun.
+    let third = std::sync::atomic::AtomicBool::new(false);
+    let stop = || third.load(Ordering::Relaxed);
+    let result = export(&renderer, &job, &stop, &mut |_, what| {
+        third.store(what == "film_2", Ordering::Relaxed);
+    });
+    assert!(
+        matches!(result, Err(ExportError::Stopped { kept: 2 })),
+        "{result:?}"
+    );
+    let mut names: Vec<_> = fs::read_dir(folder.path())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name())
+        .collect();
+    names.sort();
+    assert_eq!(names, ["film_0.png", "film_1.png"]);
+    assert!(image::open(folder.path().join("film_1.png")).is_ok());
+}
+
+#[test]
+fn an_export_beside_others_replaces_none() {
+    let solution = solution();
+    let renderer = Renderer::new(&solution);
+    let folder = tempfile::tempdir().unwrap();
+    let wanted = Job {
+        png: Some(Depth::Eight),
+        ..job(folder.path(), renderer.original())
+    };
+    let name = format!("{}.png", wanted.shots[0].stem);
+    for count in 1..=3 {
+        run(&renderer, &wanted.clone().beside_others()).unwrap();
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), count);
+    }
+    assert!(folder.path().join(name).exists());
 }
 
 #[test]

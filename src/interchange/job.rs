@@ -200,7 +200,7 @@ fn layered_pictures(
         folder: folder.to_owned(),
     };
     let files = pictures::export(&renderer, &job, stop, progress).map_err(|error| match error {
-        ExportError::Stopped => JobError::Stopped,
+        ExportError::Stopped { .. } => JobError::Stopped,
         other => JobError::Pictures(other),
     })?;
     let names = files.iter().filter_map(|f| f.file_name());

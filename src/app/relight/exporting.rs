@@ -345,6 +345,7 @@ impl Question {
             background: (!self.transparent).then_some(screen.background),
             folder: folder.to_owned(),
         }
+        .beside_others()
     }
 }
 
@@ -354,7 +355,7 @@ pub(super) fn buttons(ui: &mut egui::Ui, problem: Option<&str>) -> Answer {
     ui.horizontal(|ui| {
         let button = theme::main_button(ui, "Choose folder…");
         let button = ui.add_enabled(problem.is_none(), button);
-        let tip = "Choose where the files go, then export";
+        let tip = "Choose where the files go, then export; files that are there already stay, new ones get a number";
         if button
             .on_hover_text(tip)
             .on_disabled_hover_text(problem.unwrap_or_default())
@@ -416,7 +417,7 @@ pub(super) fn command(solution: &Arc<Solution>, job: Job) -> Command {
                 let _ = tell(what, part);
             });
             match done {
-                Ok(_) | Err(ExportError::Stopped) => Ok(()),
+                Ok(_) | Err(ExportError::Stopped { .. }) => Ok(()),
                 Err(error) => Err(error.into()),
             }
         }),
