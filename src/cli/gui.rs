@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{anyhow, bail};
 
-use super::{OutputArgs, demo, print_message};
+use super::{OutputArgs, demo, print_message, window_needs};
 use crate::app;
 use crate::worker::Source;
 
@@ -16,6 +16,14 @@ pub(super) fn run(path: Option<&Path>) -> anyhow::Result<()> {
     if !has_display() {
         bail!(
             "there is no display (neither WAYLAND_DISPLAY nor DISPLAY is set); set one, or use the command line: {WITHOUT}"
+        );
+    }
+    let missing = window_needs::missing(has("WAYLAND_DISPLAY"));
+    if !missing.is_empty() {
+        bail!(
+            "a window needs libraries that are not installed: {}; {}",
+            missing.join(", "),
+            remedy()
         );
     }
     let source = match path {
@@ -30,10 +38,17 @@ pub(super) fn run(path: Option<&Path>) -> anyhow::Result<()> {
     };
     app::run(source).map_err(|error| {
         let why = error.to_string().replace('\n', " ");
-        anyhow!(
-            "the window can't be opened: {why}; install a graphics driver (mesa-vulkan-drivers draws without a card), or use the command line: {WITHOUT}"
-        )
+        anyhow!("the window can't be opened: {why}; {}", remedy())
     })
+}
+
+/// What to do where there can't be a window.
+fn remedy() -> String {
+    let packages: Vec<&str> = window_needs::PACKAGES.lines().collect();
+    format!(
+        "install what it needs ({}), or use the command line: {WITHOUT}",
+        packages.join("; ")
+    )
 }
 
 /// Opens the window; without a path and where there can't be one, says so and runs the demo.
@@ -52,6 +67,10 @@ pub(super) fn run_or_demo(path: Option<&Path>, output: OutputArgs) -> anyhow::Re
 
 /// Whether the environment names a display. Only Unix systems do.
 fn has_display() -> bool {
-    let named = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
-    !cfg!(all(unix, not(target_os = "macos"))) || named("WAYLAND_DISPLAY") || named("DISPLAY")
+    !cfg!(all(unix, not(target_os = "macos"))) || has("WAYLAND_DISPLAY") || has("DISPLAY")
+}
+
+/// Whether the environment says something of this name.
+fn has(name: &str) -> bool {
+    std::env::var_os(name).is_some_and(|value| !value.is_empty())
 }

@@ -16,6 +16,7 @@ mod render;
 mod solve;
 mod study;
 mod synth;
+mod window_needs;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
