@@ -78,6 +78,13 @@ fn surface(base: &Recipe) -> Vec<Group> {
                 recipe.material.strength = strength as f32;
             },
         ),
+        Group::option(
+            "stated_radius",
+            "distance stated for distant lights, mesh units",
+            base,
+            &[5, 20, 100],
+            "--radius",
+        ),
         Group::sweep(
             "texture",
             "contrast of the texture",
