@@ -460,7 +460,7 @@ fn bad_gltf_files_are_refused_by_place() {
         // What is no file may never end.
         (
             with(&|d| d["buffers"][0]["uri"] = json!("/dev/null")),
-            "buffers[0]: /dev/null can't be read",
+            "buffers[0]: /dev/null is not in the folder of the mesh",
         ),
     ] {
         assert!(message.contains(part), "{message} lacks {part}");
