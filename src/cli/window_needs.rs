@@ -34,7 +34,7 @@ fn missing_of(known: &str, wayland: bool) -> Vec<&'static str> {
     };
     let needed: &[&str] = if wayland { &WAYLAND } else { &X11 };
     let mut missing: Vec<&str> = needed.iter().copied().filter(|l| !is_there(l)).collect();
-    if !GRAPHICS.iter().any(|library| is_there(&library)) {
+    if !GRAPHICS.iter().any(is_there) {
         missing.push(GRAPHICS[0]);
     }
     missing
@@ -64,17 +64,15 @@ mod tests {
     fn what_a_window_lacks_is_named() {
         let all = cache(&[&X11[..], &WAYLAND, &GRAPHICS[..1]].concat());
         assert!(missing_of(&all, false).is_empty() && missing_of(&all, true).is_empty());
-        let without: String = all
-            .lines()
-            .filter(|line| !line.contains("xkbcommon-x11") && !line.contains("vulkan"))
-            .map(|line| format!("{line}\n"))
-            .collect();
+        let lacks = |line: &&str| !line.contains("xkbcommon-x11") && !line.contains("vulkan");
+        let without: Vec<&str> = all.lines().filter(lacks).collect();
+        let without = without.join("\n");
         assert_eq!(
             missing_of(&without, false),
             ["libxkbcommon-x11.so.0", "libvulkan.so.1"]
         );
         assert_eq!(missing_of(&without, true), ["libvulkan.so.1"]);
-        let with_gl = without + &cache(&["libEGL.so.1"]);
+        let with_gl = without + "\n" + &cache(&["libEGL.so.1"]);
         assert!(missing_of(&with_gl, true).is_empty());
     }
 

@@ -117,7 +117,7 @@ impl Job {
 
     fn renamed(&self, number: u32) -> Self {
         let mut job = self.clone();
-        let add = |name: &mut String| name.push_str(&format!(" {number}"));
+        let add = |name: &mut String| *name = format!("{name} {number}");
         job.shots.iter_mut().for_each(|shot| add(&mut shot.stem));
         job.animation.iter_mut().for_each(|(name, _)| add(name));
         job.edits.iter_mut().for_each(|(name, _)| add(name));
@@ -260,7 +260,11 @@ fn make(
             writer
                 .shoot(renderer.solution(), lit, layers, shot, stop, &mut rows_done)
                 .map_err(failed)?;
-            let whole = |name: &&String| !name.ends_with(".apng");
+            let film = job
+                .animation
+                .as_ref()
+                .map(|(name, _)| format!("{name}.apng"));
+            let whole = |name: &&String| Some(*name) != film.as_ref();
             *finished = writer.files.iter().filter(whole).cloned().collect();
         }
     }
