@@ -105,7 +105,7 @@ fn a_wrong_distance_of_the_lights_is_named() {
         &["Lights at a distance of about"],
     );
     let wrong = changed("spot_near", |capture| {
-        capture.light_hemisphere.radius = None
+        capture.light_hemisphere.radius = None;
     });
     assert_doubted(&wrong, "near lights as distant", &["than distant ones"]);
 }
