@@ -153,7 +153,6 @@ pub fn misfit(misfit: &Misfit) -> Option<String> {
 /// What to doubt where a changed assumption explains the photographs, which are `views`, better; `stated` is the distance of
 /// the lights that was stated.
 pub fn suspicion(suspicion: &Suspicion, stated: Option<f32>, views: &[View]) -> String {
-    let left = 100.0 * suspicion.leaves;
     let (explanation, remedy) = match suspicion.suspect {
         Suspect::Distant => (
             format!(
@@ -193,10 +192,15 @@ pub fn suspicion(suspicion: &Suspicion, stated: Option<f32>, views: &[View]) -> 
             "Dim lights beside bright ones are probably not there, and their flux belongs to these.".to_owned(),
         ),
     };
-    format!(
-        "{explanation} (a first look leaves {left:.0} % of what it leaves otherwise). Roughness and lights are not to be \
-         trusted. {remedy}"
-    )
+    // What the other views leave is told apart by ranks; its sum says little.
+    let by = match suspicion.suspect {
+        Suspect::View(_) => String::new(),
+        _ => format!(
+            " (a first look leaves {:.0} % of what it leaves otherwise)",
+            100.0 * suspicion.leaves
+        ),
+    };
+    format!("{explanation}{by}. Roughness and lights are not to be trusted. {remedy}")
 }
 
 /// What to doubt about a lobe that is narrower than the normals that one pixel shows: pixels average the highlight away, and
