@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use command::rekindle;
-use serde_json::Value;
+use rekindle::capture::read_radiance;
+use serde_json::{Value, json};
 
 fn capture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -35,7 +36,12 @@ fn angle_deg(a: [f64; 3], b: [f64; 3]) -> f64 {
 
 /// Solves a capture, checks roughness and lamps against its truth, and returns the folder of the solution.
 fn solve_and_check(name: &str, folder: &Path) -> PathBuf {
-    let source = capture(name);
+    solve_and_check_at(&capture(name), folder)
+}
+
+/// [`solve_and_check`] of a capture anywhere.
+fn solve_and_check_at(source: &Path, folder: &Path) -> PathBuf {
+    let name = source.display();
     let solution = folder.join("solution");
     let run = rekindle(&[
         "solve",
@@ -83,6 +89,95 @@ fn solve_and_check(name: &str, folder: &Path) -> PathBuf {
         assert!(error.abs() < 0.015, "{name}: a flux is off by {error}");
     }
     solution
+}
+
+/// A copy of a `transforms.json` whose cameras are moved.
+fn move_cameras(from: &Path, to: &Path, by: [f64; 3]) {
+    let mut manifest = read_json(from);
+    for frame in manifest["frames"].as_array_mut().unwrap() {
+        for (row, by) in by.into_iter().enumerate() {
+            let value = &mut frame["transform_matrix"][row][3];
+            *value = json!(value.as_f64().unwrap() + by);
+        }
+    }
+    std::fs::write(to, manifest.to_string()).unwrap();
+}
+
+/// A copy of an OBJ file whose vertices are moved.
+fn move_mesh(from: &Path, to: &Path, by: [f64; 3]) {
+    let mut moved = String::new();
+    for line in std::fs::read_to_string(from).unwrap().lines() {
+        match line.strip_prefix("v ") {
+            Some(numbers) => {
+                moved += "v";
+                for (word, by) in numbers.split_whitespace().zip(by) {
+                    let value: f64 = word.parse().unwrap();
+                    moved += &format!(" {:.9}", value + by);
+                }
+            }
+            None => moved += line,
+        }
+        moved.push('\n');
+    }
+    std::fs::write(to, moved).unwrap();
+}
+
+/// Mean difference of two pictures as a part of the first's mean.
+fn difference(a: &Path, b: &Path) -> f64 {
+    let [a, b] = [a, b].map(|path| read_radiance(path).unwrap().2);
+    let sum = |values: &mut dyn Iterator<Item = f32>| values.map(f64::from).sum::<f64>();
+    let pairs = a.iter().flatten().zip(b.iter().flatten());
+    sum(&mut pairs.map(|(a, b)| (a - b).abs())) / sum(&mut a.iter().flatten().copied())
+}
+
+#[test]
+fn surveyed_coordinates_lose_nothing() {
+    let by = [431_000.0, -5_403_000.0, 260.0];
+    let folder = tempfile::tempdir().unwrap();
+    let (near, far) = (capture("spot_paper"), folder.path().join("far"));
+    std::fs::create_dir_all(far.join("images")).unwrap();
+    std::fs::create_dir_all(far.join("truth")).unwrap();
+    for image in std::fs::read_dir(near.join("images")).unwrap() {
+        let image = image.unwrap();
+        std::fs::copy(image.path(), far.join("images").join(image.file_name())).unwrap();
+    }
+    std::fs::copy(near.join("truth/truth.json"), far.join("truth/truth.json")).unwrap();
+    let [near_cameras, far_cameras] = [&near, &far].map(|capture| capture.join("transforms.json"));
+    move_cameras(&near_cameras, &far_cameras, by);
+    move_mesh(&near.join("mesh.obj"), &far.join("mesh.obj"), by);
+    let solutions = [(&near, "a"), (&far, "b")]
+        .map(|(source, name)| solve_and_check_at(source, &folder.path().join(name)));
+    // The far solution is in the far world, and looks the same from there.
+    let stored = read_json(&solutions[1].join("cameras.json"));
+    let stated = read_json(&far_cameras);
+    let place = |file: &Value| {
+        file["frames"][0]["transform_matrix"][1][3]
+            .as_f64()
+            .unwrap()
+    };
+    assert!((place(&stored) - place(&stated)).abs() < 1e-6);
+    let pictures =
+        [(&solutions[0], near_cameras), (&solutions[1], far_cameras)].map(|(solution, cameras)| {
+            let pictures = solution.with_extension("pictures");
+            let paths = [solution, &cameras, &pictures].map(|path| path.to_str().unwrap());
+            let run = rekindle(&[
+                "render",
+                paths[0],
+                "--cameras",
+                paths[1],
+                "-o",
+                paths[2],
+                "--quiet",
+            ]);
+            assert!(
+                run.status.success(),
+                "{}",
+                String::from_utf8_lossy(&run.stderr)
+            );
+            pictures.join("view_000.exr")
+        });
+    let off = difference(&pictures[0], &pictures[1]);
+    assert!(off < 1e-3, "the picture differs by {off} of its mean");
 }
 
 #[test]

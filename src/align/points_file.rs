@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 use serde_json::Value;
 
 use super::marks::{Mark, MarkedPoint};
-use crate::capture::View;
+use crate::capture::{Capture, View};
 use crate::files;
 
 /// Why a file of points can't be used.
@@ -50,19 +50,25 @@ pub enum PointsError {
     },
 }
 
-/// Reads marked points; photographs go by the names of `views`.
-pub fn read_points(path: &Path, views: &[View]) -> Result<Vec<MarkedPoint>, PointsError> {
+/// Reads marked points of a capture's mesh; photographs go by the names of its views.
+pub fn read_points(path: &Path, capture: &Capture) -> Result<Vec<MarkedPoint>, PointsError> {
     let text = files::read(path).map_err(|source| PointsError::Unreadable {
         path: path.to_owned(),
         source,
     })?;
-    let reader = Reader { path, views };
+    let reader = Reader {
+        path,
+        views: &capture.views,
+        origin: capture.mesh.origin,
+    };
     reader.parse(&text)
 }
 
 struct Reader<'a> {
     path: &'a Path,
     views: &'a [View],
+    /// Of the mesh.
+    origin: DVec3,
 }
 
 impl Reader<'_> {
@@ -116,7 +122,7 @@ impl Reader<'_> {
             Ok(Mark { view, pixel })
         };
         Ok(MarkedPoint {
-            place: DVec3::new(x, y, z),
+            place: DVec3::new(x, y, z) - self.origin,
             marks: marks.iter().map(mark).collect::<Result<_, _>>()?,
         })
     }

@@ -259,6 +259,7 @@ pub(super) fn thinned(mesh: &Mesh, cells: f32) -> Mesh {
     triangles.sort_unstable();
     triangles.dedup();
     Mesh {
+        origin: mesh.origin,
         normals: vec![Vec3::Y; positions.len()],
         positions,
         uvs: Vec::new(),

@@ -303,7 +303,7 @@ fn damaged_points_are_read_or_refused() {
     let point = format!(r#"{{"mesh": [0.1, -0.2, 3e-1], "marks": {{"{name}": [41.5, 30]}}}}"#);
     let whole = format!("[{point}, {point}]").into_bytes();
     std::fs::write(&path, &whole).unwrap();
-    let read = read_points(&path, &capture.views).expect("points");
+    let read = read_points(&path, &capture).expect("points");
     assert_eq!(read.len(), 2);
     assert_eq!(read[0].place, DVec3::new(0.1, -0.2, 0.3));
     let mark = Mark {
@@ -314,7 +314,7 @@ fn damaged_points_are_read_or_refused() {
     let mut random = crate::damage::Random(3);
     for _ in 0..500 {
         std::fs::write(&path, crate::damage::damaged(&whole, &mut random)).unwrap();
-        match read_points(&path, &capture.views) {
+        match read_points(&path, &capture) {
             Ok(points) => {
                 let _ = Placement::new(&capture.views, &points);
             }

@@ -123,7 +123,8 @@ impl Placing {
     fn save(&mut self, worker: &mut Worker, manifest: PathBuf) {
         self.saving = true;
         let (moved, saved) = (self.now.moved, Arc::clone(&self.saved));
-        let further = moved * self.written.inverse();
+        let mesh = &self.now.opened.capture.mesh;
+        let further = mesh.world_transform(&(moved * self.written.inverse()));
         worker.aside("place", move || {
             let written = write_mesh_transform(&manifest, &further);
             saved.store(match written {

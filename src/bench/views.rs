@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use super::Audience;
 use super::error::BenchError;
@@ -61,15 +61,16 @@ pub(super) fn compare(
     audience: &dyn Audience,
 ) -> Result<ViewErrors, BenchError> {
     let renderer = Renderer::new(solution);
+    let origin = solution.mesh.origin;
     let mut errors = ViewErrors::default();
     if let Some(cameras) = &truth.novel {
         let lit = renderer.light(renderer.original());
-        errors.novel = views(&lit, cameras, audience)?;
+        errors.novel = views(&lit, cameras, origin, audience)?;
     }
     for case in &truth.relit {
         // What a solution without lamps looks like under one of them can't be said.
         let values = match apply(&case.edits, renderer.original()) {
-            Ok(light) => views(&renderer.light(&light), &case.cameras, audience)?,
+            Ok(light) => views(&renderer.light(&light), &case.cameras, origin, audience)?,
             Err(_) if solution.lamps.is_empty() => Vec::new(),
             Err(error) => return Err(error.into()),
         };
@@ -79,9 +80,14 @@ pub(super) fn compare(
 }
 
 /// PSNR of every view of a `transforms.json` beside whose frames the true pictures lie.
-fn views(lit: &LitScene, cameras: &Path, audience: &dyn Audience) -> Result<Vec<f32>, BenchError> {
+fn views(
+    lit: &LitScene,
+    cameras: &Path,
+    origin: DVec3,
+    audience: &dyn Audience,
+) -> Result<Vec<f32>, BenchError> {
     let folder = cameras.parent().unwrap_or(Path::new("."));
-    read_cameras(cameras)?
+    read_cameras(cameras, origin)?
         .into_iter()
         .map(|(name, camera)| {
             if audience.stop() {

@@ -156,6 +156,13 @@ impl Camera {
         self.world_from_camera.transform_vector3(DVec3::Y)
     }
 
+    /// The same camera in a world whose origin lies at `origin` of this one.
+    #[must_use]
+    pub fn seen_about(mut self, origin: DVec3) -> Self {
+        self.world_from_camera.translation -= origin;
+        self
+    }
+
     /// Unit direction the camera looks along, in the world.
     pub fn forward(&self) -> DVec3 {
         self.world_from_camera.transform_vector3(DVec3::NEG_Z)

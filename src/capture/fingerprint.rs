@@ -48,6 +48,7 @@ fn add_camera(hasher: &mut SipHasher13, camera: &Camera) {
 
 fn of_mesh(mesh: &Mesh) -> u128 {
     let mut hasher = SipHasher13::new();
+    add(&mut hasher, &mesh.origin.to_array());
     add(&mut hasher, &mesh.positions);
     add(&mut hasher, &mesh.normals);
     add(&mut hasher, &mesh.uvs);
@@ -96,6 +97,7 @@ mod tests {
             name: "thing".to_owned(),
             views: vec![view("a"), view("b")],
             mesh: Mesh {
+                origin: glam::DVec3::ZERO,
                 positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
                 normals: vec![Vec3::Z; 3],
                 uvs: Vec::new(),

@@ -7,7 +7,7 @@
 use super::error::CaptureError;
 use super::mesh_file::RawMesh;
 use crate::files;
-use glam::{Mat3, Mat4, Quat, Vec2, Vec3};
+use glam::{DMat3, DMat4, DQuat, DVec3, Vec2, Vec3};
 use serde::Deserialize;
 use std::io::ErrorKind;
 use std::path::{Component, Path};
@@ -47,10 +47,10 @@ struct Scene {
 struct Node {
     mesh: Option<usize>,
     children: Vec<usize>,
-    matrix: Option<[f32; 16]>,
-    translation: Option<[f32; 3]>,
-    rotation: Option<[f32; 4]>,
-    scale: Option<[f32; 3]>,
+    matrix: Option<[f64; 16]>,
+    translation: Option<[f64; 3]>,
+    rotation: Option<[f64; 4]>,
+    scale: Option<[f64; 3]>,
 }
 
 #[derive(Deserialize, Default)]
@@ -291,19 +291,19 @@ fn percent_decoded(uri: &str) -> String {
 }
 
 impl Node {
-    fn transform(&self) -> Mat4 {
+    fn transform(&self) -> DMat4 {
         if let Some(matrix) = &self.matrix {
-            return Mat4::from_cols_array(matrix);
+            return DMat4::from_cols_array(matrix);
         }
-        let rotation = self.rotation.map_or(Quat::IDENTITY, Quat::from_array);
-        Mat4::from_scale_rotation_translation(
-            Vec3::from(self.scale.unwrap_or([1.0; 3])),
+        let rotation = self.rotation.map_or(DQuat::IDENTITY, DQuat::from_array);
+        DMat4::from_scale_rotation_translation(
+            DVec3::from(self.scale.unwrap_or([1.0; 3])),
             if rotation.length_squared() > 0.0 {
                 rotation.normalize()
             } else {
-                Quat::IDENTITY
+                DQuat::IDENTITY
             },
-            Vec3::from(self.translation.unwrap_or_default()),
+            DVec3::from(self.translation.unwrap_or_default()),
         )
     }
 }
@@ -325,8 +325,8 @@ impl Builder<'_> {
                 .collect(),
         };
         let mut visited = vec![false; document.nodes.len()];
-        let mut stack: Vec<(usize, Mat4)> =
-            roots.into_iter().map(|i| (i, Mat4::IDENTITY)).collect();
+        let mut stack: Vec<(usize, DMat4)> =
+            roots.into_iter().map(|i| (i, DMat4::IDENTITY)).collect();
         while let Some((i, parent)) = stack.pop() {
             let node = document.nodes.get(i);
             let node =
@@ -343,7 +343,7 @@ impl Builder<'_> {
         Ok(())
     }
 
-    fn add_mesh(&mut self, index: usize, transform: Mat4) -> Result<(), Mistake> {
+    fn add_mesh(&mut self, index: usize, transform: DMat4) -> Result<(), Mistake> {
         let mesh = self.document.meshes.get(index);
         let mesh =
             mesh.ok_or_else(|| mistake(format!("meshes[{index}]"), "there is no such mesh"))?;
@@ -364,7 +364,7 @@ impl Builder<'_> {
         &mut self,
         primitive: &Primitive,
         mode: u32,
-        transform: Mat4,
+        transform: DMat4,
     ) -> Result<(), String> {
         let attributes = &primitive.attributes;
         let positions = attributes.position.ok_or("it has no positions")?;
@@ -384,21 +384,21 @@ impl Builder<'_> {
             ));
         }
         for (i, position) in positions.into_iter().enumerate() {
-            let position = transform.transform_point3(position.into());
-            if !position.is_finite() {
+            let position = transform.transform_point3(Vec3::from(position).as_dvec3());
+            if !position.as_vec3().is_finite() {
                 return Err(format!("position {i} is NaN or not finite"));
             }
             self.mesh.positions.push(position);
         }
-        let to_normal = Mat3::from_mat4(transform).inverse().transpose();
+        let to_normal = DMat3::from_mat4(transform).inverse().transpose();
         let normals: Vec<[f32; 3]> = attributes
             .normal
             .map_or(Ok(Vec::new()), |a| self.floats(a))?;
         let uvs: Vec<[f32; 2]> = attributes.uv.map_or(Ok(Vec::new()), |a| self.floats(a))?;
         for i in 0..count {
-            let normal = normals
-                .get(i)
-                .map_or(Vec3::ZERO, |&n| to_normal * Vec3::from(n));
+            let normal = normals.get(i).map_or(Vec3::ZERO, |&n| {
+                (to_normal * Vec3::from(n).as_dvec3()).as_vec3()
+            });
             self.mesh.normals.push(if normal.is_finite() {
                 normal
             } else {
@@ -410,7 +410,7 @@ impl Builder<'_> {
                 .map_or(Vec2::NAN, |&[u, v]| Vec2::new(u, 1.0 - v));
             self.mesh.uvs.push(uv);
         }
-        let mirrored = Mat3::from_mat4(transform).determinant() < 0.0;
+        let mirrored = DMat3::from_mat4(transform).determinant() < 0.0;
         let base = first as u32;
         let triangles = triangles(&corners, mode);
         self.mesh.triangles.extend(triangles.map(|[a, b, c]| {

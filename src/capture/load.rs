@@ -49,18 +49,16 @@ impl Capture {
             || {
                 let mesh_path = manifest.mesh_path.as_deref();
                 let file = mesh_file::find(&manifest.folder, mesh_path, &manifest.path)?;
-                let (mesh, warnings) = mesh_file::read(&file)?;
-                let mesh = match &manifest.mesh_transform {
-                    Some(transform) => mesh.transformed(transform),
-                    None => mesh,
-                };
+                let transform = manifest.mesh_transform.as_ref();
+                let (mesh, warnings) = mesh_file::read(&file, transform)?;
                 Ok((file, mesh, warnings))
             },
         );
+        let photographs = photographs?;
+        let (mesh_path, mesh, mesh_warnings) = mesh?;
         let mut tally = Tally::default();
         let mut uses = Vec::with_capacity(firsts.len());
         let mut views = Vec::with_capacity(firsts.len());
-        let photographs = photographs?;
         for (i, (frame, &first)) in manifest.frames.iter().zip(&firsts).enumerate() {
             let Some(read) = &photographs[first] else {
                 continue;
@@ -74,7 +72,7 @@ impl Capture {
             let size = (read.photograph.width, read.photograph.height);
             views.push(View {
                 name: frame.name.clone(),
-                camera: frame.lens.camera(size, frame.world_from_camera),
+                camera: (frame.lens.camera(size, frame.world_from_camera)).seen_about(mesh.origin),
                 photograph: Arc::clone(&read.photograph),
             });
         }
@@ -87,7 +85,6 @@ impl Capture {
                 views: uses,
             });
         warnings.extend(brackets.as_ref().and_then(Brackets::note));
-        let (mesh_path, mesh, mesh_warnings) = mesh?;
         warnings.extend(mesh_warnings);
         let place = place_cameras(&manifest, &mut views, &mesh, mesh_path, &mut warnings);
         if placed {
@@ -123,9 +120,9 @@ pub fn input_files(path: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     Ok(files)
 }
 
-/// Reads only the cameras of a `transforms.json`, with the frames' names, for rendering from them. Image sizes come
-/// from the manifest or else from the images' headers.
-pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, CaptureError> {
+/// Reads only the cameras of a `transforms.json`, with the frames' names, for rendering from them what lies about `origin`
+/// ([`Mesh::origin`]). Image sizes come from the manifest or else from the images' headers.
+pub fn read_cameras(path: &Path, origin: DVec3) -> Result<Vec<(String, Camera)>, CaptureError> {
     let manifest = Manifest::read(path)?;
     manifest
         .frames
@@ -149,7 +146,7 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>, CaptureError> 
                 });
             }
             let camera = frame.lens.camera(size, frame.world_from_camera);
-            Ok((frame.name.clone(), camera))
+            Ok((frame.name.clone(), camera.seen_about(origin)))
         })
         .collect()
 }
@@ -502,6 +499,7 @@ fn place_cameras(
         let undone: Vec<DAffine3> = views.iter().map(|v| v.camera.world_from_camera).collect();
         for (view, frame) in views.iter_mut().zip(&manifest.frames) {
             view.camera.world_from_camera = frame.stated_pose;
+            view.camera.world_from_camera.translation -= mesh.origin;
         }
         if seen(views) {
             warnings.push(

@@ -1,12 +1,15 @@
 //! The object's surface as a triangle mesh.
 
-use glam::{DMat3, DMat4, DVec2, Vec2, Vec3};
+use glam::{DMat3, DMat4, DVec2, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Triangles over shared vertices. Corners that differ in normal or texture coordinate are distinct vertices.
 #[derive(Clone, Debug, Default)]
 pub struct Mesh {
-    /// One position per vertex.
+    /// Where the positions' zero lies in the world: zero but for an object far from the world's own, as surveyed ones are,
+    /// whose positions would lose digits.
+    pub origin: DVec3,
+    /// One position per vertex, from the origin.
     pub positions: Vec<Vec3>,
     /// One unit shading normal per vertex.
     pub normals: Vec<Vec3>,
@@ -60,11 +63,24 @@ impl Mesh {
         (b - a).cross(c - a).normalize_or_zero()
     }
 
-    /// The mesh moved by an affine transform, which is not to mirror.
+    /// A point on the mesh as the world has it.
+    pub fn in_world(&self, point: Vec3) -> DVec3 {
+        self.origin + point.as_dvec3()
+    }
+
+    /// A transform about the mesh's origin as one of the world.
+    pub fn world_transform(&self, transform: &DMat4) -> DMat4 {
+        let away = DMat4::from_translation(self.origin);
+        let back = DMat4::from_translation(-self.origin);
+        away * *transform * back
+    }
+
+    /// The mesh moved by an affine transform about its origin, which is not to mirror.
     #[must_use]
     pub fn transformed(&self, transform: &DMat4) -> Self {
         let to_normal = DMat3::from_mat4(*transform).inverse().transpose();
         Self {
+            origin: self.origin,
             positions: (self.positions.iter())
                 .map(|p| transform.transform_point3(p.as_dvec3()).as_vec3())
                 .collect(),

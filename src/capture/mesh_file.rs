@@ -4,21 +4,62 @@ use super::error::CaptureError;
 use super::mesh::Mesh;
 use super::{gltf, obj, ply};
 use crate::files;
-use glam::{Vec2, Vec3};
+use glam::{DMat3, DMat4, DVec3, Vec2, Vec3};
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
+
+/// Distance of an object from the world's origin, in its own sizes, beyond which single precision loses digits that a camera
+/// could tell: 16 sizes away it resolves a millionth of the size.
+const FAR: f64 = 16.0;
 
 /// A mesh as its file has it.
 #[derive(Debug, Default)]
 pub(super) struct RawMesh {
     /// One finite position per vertex.
-    pub positions: Vec<Vec3>,
+    pub positions: Vec<DVec3>,
     /// One normal per vertex, of any length, zero where the file has none.
     pub normals: Vec<Vec3>,
     /// One texture coordinate per vertex, NaN where the file has none, or empty.
     pub uvs: Vec<Vec2>,
     /// Triangles with indices in range.
     pub triangles: Vec<[u32; 3]>,
+}
+
+impl RawMesh {
+    fn transform(&mut self, transform: &DMat4) {
+        let to_normal = DMat3::from_mat4(*transform).inverse().transpose();
+        for position in &mut self.positions {
+            *position = transform.transform_point3(*position);
+        }
+        for normal in &mut self.normals {
+            *normal = (to_normal * normal.as_dvec3())
+                .normalize_or_zero()
+                .as_vec3();
+        }
+    }
+}
+
+/// Where single precision is to count from: the world's own origin, or for an object far from it a round number near its
+/// centre, so that what is written and read again has the same.
+fn origin(raw: &RawMesh) -> DVec3 {
+    let used = raw
+        .triangles
+        .iter()
+        .flatten()
+        .map(|&v| raw.positions[v as usize]);
+    origin_near(used)
+}
+
+/// [`origin`] of points.
+pub(crate) fn origin_near(points: impl Iterator<Item = DVec3>) -> DVec3 {
+    let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    let (low, high) = points.fold(none, |(low, high), p| (low.min(p), high.max(p)));
+    let (centre, extent) = (0.5 * (low + high), (high - low).length());
+    if !(extent > 0.0 && extent.is_finite() && centre.length() > FAR * extent) {
+        return DVec3::ZERO;
+    }
+    let unit = extent.log2().floor().exp2();
+    (centre / unit).round() * unit
 }
 
 /// The file that holds the mesh: the one named, or the only one in the folder.
@@ -86,8 +127,12 @@ fn extension(path: &Path) -> String {
         .unwrap_or_default()
 }
 
-/// Reads a mesh file. Returns the mesh and what a user should know of it.
-pub(super) fn read(path: &Path) -> Result<(Mesh, Vec<String>), CaptureError> {
+/// Reads a mesh file and moves the mesh by a transform, which is not to mirror. Returns the mesh and what a user should know
+/// of it.
+pub(super) fn read(
+    path: &Path,
+    transform: Option<&DMat4>,
+) -> Result<(Mesh, Vec<String>), CaptureError> {
     let kind = extension(path);
     let parse = match kind.as_str() {
         "obj" => obj::parse,
@@ -105,14 +150,21 @@ pub(super) fn read(path: &Path) -> Result<(Mesh, Vec<String>), CaptureError> {
         path: path.to_owned(),
         source,
     })?;
-    finish(path, parse(path, &bytes)?)
+    let mut raw = parse(path, &bytes)?;
+    if let Some(transform) = transform {
+        raw.transform(transform);
+    }
+    finish(path, raw)
 }
 
 /// Drops degenerate triangles, repairs normals and texture coordinates.
 pub(super) fn finish(path: &Path, raw: RawMesh) -> Result<(Mesh, Vec<String>), CaptureError> {
     let mut warnings = Vec::new();
+    let origin = origin(&raw);
+    let positions = raw.positions.iter();
     let mut mesh = Mesh {
-        positions: raw.positions,
+        origin,
+        positions: positions.map(|&p| (p - origin).as_vec3()).collect(),
         normals: raw.normals,
         uvs: raw.uvs,
         triangles: raw.triangles,

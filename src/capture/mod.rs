@@ -35,6 +35,7 @@ pub use demo::{DEMO, demo_names, unpack_demo};
 pub use error::CaptureError;
 pub use load::{Covered, PixelCounts, input_files, read_cameras, read_covered, read_radiance};
 pub use mesh::{Mesh, SurfacePoint};
+pub(crate) use mesh_file::origin_near;
 pub(crate) use picture::exr_problem;
 pub use write_cameras::{camera_matrix, transforms};
 

@@ -6,7 +6,7 @@
 use super::error::CaptureError;
 use super::mesh_file::RawMesh;
 use super::polygon::triangulate;
-use glam::{Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use std::io::{self, BufRead, Read};
 use std::path::Path;
 
@@ -61,15 +61,18 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<RawMesh, CaptureError> 
 
 /// The mesh with its polygons cut into triangles.
 fn to_raw(mesh: &tobj::Mesh) -> RawMesh {
-    let threes = |values: &[f32]| -> Vec<Vec3> {
+    let threes = |values: &[f64]| -> Vec<DVec3> {
         let triples = values.chunks_exact(3);
-        triples.map(|v| Vec3::new(v[0], v[1], v[2])).collect()
+        triples.map(|v| DVec3::new(v[0], v[1], v[2])).collect()
     };
     let positions = threes(&mesh.positions);
-    let mut normals = threes(&mesh.normals);
+    let normals = threes(&mesh.normals).into_iter();
+    let mut normals: Vec<Vec3> = normals.map(DVec3::as_vec3).collect();
     normals.resize(positions.len(), Vec3::ZERO);
     let uvs = mesh.texcoords.chunks_exact(2);
-    let uvs: Vec<Vec2> = uvs.map(|uv| Vec2::new(uv[0], uv[1])).collect();
+    let uvs: Vec<Vec2> = uvs
+        .map(|uv| Vec2::new(uv[0] as f32, uv[1] as f32))
+        .collect();
     let absent = uvs.iter().all(|uv| uv.is_nan());
     let mut triangles = Vec::with_capacity(mesh.indices.len() / 3);
     if mesh.face_arities.is_empty() {

@@ -7,7 +7,7 @@ use super::error::CaptureError;
 use super::mesh_file::RawMesh;
 use super::polygon::triangulate;
 use crate::files;
-use glam::{Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use std::io::Read;
 use std::path::Path;
 
@@ -279,7 +279,7 @@ const SLOTS: [&[&str]; 8] = [
 
 #[derive(Default)]
 struct Builder {
-    positions: Vec<Vec3>,
+    positions: Vec<DVec3>,
     normals: Vec<Vec3>,
     uvs: Vec<Vec2>,
     polygons: Vec<u32>,
@@ -312,7 +312,7 @@ impl Builder {
         let mut list = Vec::new();
         for i in 0..element.count {
             let at = |problem| (i, problem);
-            let mut values = [0.0_f32; 8];
+            let mut values = [0.0_f64; 8];
             for (property, slot) in element.properties.iter().zip(&slots) {
                 if let Some(length) = property.length {
                     list.clear();
@@ -321,20 +321,20 @@ impl Builder {
                 }
                 let value = reader.value(property.value).map_err(at)?;
                 if let Some(slot) = slot {
-                    values[*slot] = value as f32;
+                    values[*slot] = value;
                 }
             }
             let [x, y, z, nx, ny, nz, u, v] = values;
-            let position = Vec3::new(x, y, z);
-            if !position.is_finite() {
+            let position = DVec3::new(x, y, z);
+            if !position.as_vec3().is_finite() {
                 return Err((i, "the position is NaN or not finite".to_owned()));
             }
             self.positions.push(position);
             if has_normals {
-                self.normals.push(Vec3::new(nx, ny, nz));
+                self.normals.push(DVec3::new(nx, ny, nz).as_vec3());
             }
             if has_uvs {
-                self.uvs.push(Vec2::new(u, v));
+                self.uvs.push(Vec2::new(u as f32, v as f32));
             }
         }
         Ok(())

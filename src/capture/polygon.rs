@@ -1,7 +1,7 @@
 //! Cutting polygons into triangles.
 
 use earcut::Earcut;
-use glam::{DVec2, DVec3, Vec3};
+use glam::{DVec2, DVec3};
 
 /// Most corners of a convex polygon that becomes a fan. The long triangles of a larger one would all lie on each other's
 /// bounds, and every ray at one of them would try them all.
@@ -9,15 +9,12 @@ const MOST_FANNED: usize = 64;
 
 /// Appends the triangles of a polygon to `out`, keeping its winding. `corners` are vertex indices, at
 /// least three. Concave and large polygons are cut by ears in the plane of their mean normal (Newell's).
-pub(super) fn triangulate(corners: &[u32], positions: &[Vec3], out: &mut Vec<[u32; 3]>) {
+pub(super) fn triangulate(corners: &[u32], positions: &[DVec3], out: &mut Vec<[u32; 3]>) {
     if let &[a, b, c] = corners {
         out.push([a, b, c]);
         return;
     }
-    let points: Vec<DVec3> = corners
-        .iter()
-        .map(|&v| positions[v as usize].as_dvec3())
-        .collect();
+    let points: Vec<DVec3> = corners.iter().map(|&v| positions[v as usize]).collect();
     let mut normal = DVec3::ZERO;
     for (i, p) in points.iter().enumerate() {
         normal += (*p - points[0]).cross(points[(i + 1) % points.len()] - points[0]);

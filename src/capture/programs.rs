@@ -46,15 +46,15 @@ fn disagreement(cameras: &[(String, Camera)]) -> f64 {
 #[test]
 fn cameras_project_as_colmap_does() {
     for kind in ["text", "binary"] {
-        let cameras = read_cameras(&colmap(kind)).expect("a model");
+        let cameras = read_cameras(&colmap(kind), DVec3::ZERO).expect("a model");
         assert_eq!(cameras.len(), 7);
         let off = disagreement(&cameras);
         assert!(off < 1e-6, "{kind}: {off} pixels");
         // What is written of them is read the same.
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("transforms.json");
-        fs::write(&path, transforms(&cameras).to_string()).expect("written");
-        let off = disagreement(&read_cameras(&path).expect("cameras"));
+        fs::write(&path, transforms(&cameras, DVec3::ZERO).to_string()).expect("written");
+        let off = disagreement(&read_cameras(&path, DVec3::ZERO).expect("cameras"));
         assert!(off < 1e-6, "{kind}, written: {off} pixels");
     }
 }
@@ -71,7 +71,7 @@ fn text_models_of_careless_exporters_are_read() {
     let tabs: Vec<String> = images.lines().map(|l| l.replacen(' ', "\t", 9)).collect();
     for text in [bare.join("\n"), tabs.join("\r\n"), bare.join("\n\n")] {
         fs::write(folder.path().join("images.txt"), text).expect("written");
-        let cameras = read_cameras(folder.path()).expect("a model");
+        let cameras = read_cameras(folder.path(), DVec3::ZERO).expect("a model");
         assert_eq!(cameras.len(), 7);
         assert!(disagreement(&cameras) < 1e-6);
     }
@@ -87,7 +87,9 @@ fn models_that_cannot_be_stated_are_refused_by_name() {
             .expect("name")
             .to_string_lossy()
             .to_uppercase();
-        let message = read_cameras(&folder).expect_err("refused").to_string();
+        let message = read_cameras(&folder, DVec3::ZERO)
+            .expect_err("refused")
+            .to_string();
         assert!(message.contains(&name), "{message}");
         assert!(message.contains("colmap image_undistorter"), "{message}");
         refused += 1;
@@ -257,7 +259,7 @@ fn a_table_of_reality_capture_states_its_cameras() {
     let table = "\u{feff}#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\r\n\
         a b.png,0.5,-2,1.5,30,60,10,28,0.01,-0.02,0.05,0,0,0,0.001,0\r\n";
     fs::write(folder.path().join("cameras.csv"), table).expect("written");
-    let cameras = read_cameras(folder.path()).expect("a table");
+    let cameras = read_cameras(folder.path(), DVec3::ZERO).expect("a table");
     let camera = camera(&cameras, "a b.png");
     assert_eq!((camera.width, camera.height), (60, 40));
     // From straight down, up by the pitch, about the vertical by the heading, clockwise: 30° is to the right of north.
@@ -283,7 +285,7 @@ fn a_table_of_reality_capture_states_its_cameras() {
     assert!((found - pixel).length() < 1e-9, "{found} {pixel}");
     let refuse = |table: &str| {
         fs::write(folder.path().join("cameras.csv"), table).expect("written");
-        read_cameras(&folder.path().join("cameras.csv"))
+        read_cameras(&folder.path().join("cameras.csv"), DVec3::ZERO)
             .expect_err("refused")
             .to_string()
     };
@@ -377,7 +379,7 @@ fn gltf_scenes_become_one_mesh() {
     fs::write(folder.path().join("b.gltf"), document.to_string()).expect("written");
     fs::write(folder.path().join("the buffer.bin"), buffer).expect("written");
     for name in ["a.glb", "b.gltf"] {
-        let (mesh, _) = mesh_file::read(&folder.path().join(name)).expect(name);
+        let (mesh, _) = mesh_file::read(&folder.path().join(name), None).expect(name);
         assert_eq!((mesh.positions.len(), mesh.triangles.len()), (7, 3));
         // Turned by a quarter about z, doubled and lifted; all face +z.
         for triangle in 0..3 {
@@ -525,7 +527,7 @@ fn damaged_files_of_other_programs_never_panic() {
         let original = fs::read(colmap(name)).expect("test data");
         for _ in 0..300 {
             fs::write(target.join(file), damaged(&original, &mut random)).expect("written");
-            let _ = read_cameras(&target);
+            let _ = read_cameras(&target, DVec3::ZERO);
         }
     }
 }

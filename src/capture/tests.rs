@@ -710,7 +710,7 @@ fn brackets_merge_to_the_radiance_that_was_photographed() {
 #[test]
 fn meshes_of_other_programs_are_the_same_box() {
     for name in ["box.obj", "box_ascii.ply", "box_binary.ply"] {
-        let (mesh, _) = mesh_file::read(&data(name)).expect(name);
+        let (mesh, _) = mesh_file::read(&data(name), None).expect(name);
         assert_eq!(
             (mesh.positions.len(), mesh.triangles.len()),
             (8, 12),
@@ -725,6 +725,44 @@ fn meshes_of_other_programs_are_the_same_box() {
             );
         }
     }
+}
+
+#[test]
+fn a_scene_far_from_the_origin_keeps_its_digits() {
+    let far = DVec3::new(1e6, -3e6, 2e5) + DVec3::new(0.1, 0.2, 0.3);
+    let mut fixture = Fixture::new();
+    let near = fixture.loaded();
+    let text = fs::read_to_string(data("box.obj")).expect("a box");
+    let moved: Vec<String> = text.lines().map(|line| moved_vertex(line, far)).collect();
+    fixture.write("box.obj", moved.join("\n"));
+    fixture.manifest["frames"][0]["transform_matrix"] = matrix(far + DVec3::new(0.0, 0.0, 5.0));
+    let capture = fixture.loaded();
+    let origin = capture.mesh.origin;
+    assert!((origin - far).length() < 4.0, "{origin}");
+    let shift = far - origin;
+    for (p, q) in capture.mesh.positions.iter().zip(&near.mesh.positions) {
+        let off = (p.as_dvec3() - shift - q.as_dvec3()).length();
+        assert!(off < 1e-6, "{p} for {q}");
+    }
+    let camera = capture.views[0].camera.position() - shift;
+    assert!((camera - near.views[0].camera.position()).length() < 1e-8);
+    // The same change of the file by a transform of the mesh, about the world's own origin.
+    fixture.write("box.obj", text);
+    fixture.manifest["mesh_transform"] =
+        json!(DMat4::from_translation(far).transpose().to_cols_array_2d());
+    let by_transform = fixture.loaded();
+    assert_eq!(by_transform.mesh.origin, origin);
+    assert_eq!(by_transform.mesh.positions, capture.mesh.positions);
+}
+
+/// A line of an OBJ file, moved where it is a vertex.
+fn moved_vertex(line: &str, by: DVec3) -> String {
+    let Some(numbers) = line.strip_prefix("v ") else {
+        return line.to_owned();
+    };
+    let numbers = numbers.split_whitespace().zip(by.to_array());
+    let moved = numbers.map(|(word, by)| word.parse::<f64>().expect("a number") + by);
+    moved.fold("v".to_owned(), |line, v| format!("{line} {v}"))
 }
 
 fn parse_obj(text: &str) -> Result<super::Mesh, CaptureError> {
@@ -851,12 +889,12 @@ fn broken_obj_lines_are_named() {
 fn concave_polygons_are_cut_inside() {
     // An arrow head whose fan from the first corner would leave the polygon.
     let points = [[0.0, 0.0], [2.0, -1.0], [0.5, 0.0], [2.0, 1.0]]
-        .map(|[x, y]: [f32; 2]| Vec3::new(x, y, 0.0));
+        .map(|[x, y]: [f64; 2]| DVec3::new(x, y, 0.0));
     for shift in 0..4 {
         let corners: Vec<u32> = (0..4).map(|i| (i + shift) % 4).collect();
         let mut triangles = Vec::new();
         polygon::triangulate(&corners, &points, &mut triangles);
-        let area: f32 = triangles
+        let area: f64 = triangles
             .iter()
             .map(|t| {
                 let [a, b, c] = t.map(|v| points[v as usize]);
@@ -873,17 +911,17 @@ fn concave_polygons_are_cut_inside() {
 fn large_concave_polygons_are_cut_inside() {
     // A gear of 3000 corners, whose fan from any corner would leave it.
     let count = 3000_u32;
-    let points: Vec<Vec3> = (0..count)
+    let points: Vec<DVec3> = (0..count)
         .map(|i| {
-            let (sin, cos) = (std::f32::consts::TAU * i as f32 / count as f32).sin_cos();
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / f64::from(count)).sin_cos();
             let radius = if i / 10 % 2 == 0 { 1.0 } else { 0.6 };
-            Vec3::new(radius * cos, radius * sin, 0.0)
+            DVec3::new(radius * cos, radius * sin, 0.0)
         })
         .collect();
     let corners: Vec<u32> = (0..count).collect();
     let mut triangles = Vec::new();
     polygon::triangulate(&corners, &points, &mut triangles);
-    let twice = |a: Vec3, b: Vec3, c: Vec3| (b - a).as_dvec3().cross((c - a).as_dvec3()).z;
+    let twice = |a: DVec3, b: DVec3, c: DVec3| (b - a).cross(c - a).z;
     let area: f64 = triangles
         .iter()
         .map(|t| {
@@ -896,7 +934,7 @@ fn large_concave_polygons_are_cut_inside() {
     let next = |i: usize| points[(i + 1) % points.len()];
     let pieces = points.iter().enumerate();
     let expected: f64 = pieces
-        .map(|(i, &p)| 0.5 * twice(Vec3::ZERO, p, next(i)))
+        .map(|(i, &p)| 0.5 * twice(DVec3::ZERO, p, next(i)))
         .sum();
     assert!((area - expected).abs() < 1e-4, "{area} for {expected}");
 }
@@ -1076,7 +1114,7 @@ fn cameras_read_without_images() {
     let fixture = Fixture::new();
     fixture.load().expect("good");
     fs::remove_file(fixture.folder.path().join("rgba_half_zip.exr")).expect("remove");
-    let cameras = read_cameras(fixture.folder.path()).expect("cameras");
+    let cameras = read_cameras(fixture.folder.path(), DVec3::ZERO).expect("cameras");
     assert_eq!(cameras[0].0, "rgba_half_zip.exr");
     assert_eq!((cameras[0].1.width, cameras[0].1.height), SIZE);
 }
@@ -1184,7 +1222,9 @@ fn a_model_may_be_of_more_photographs_than_the_capture() {
     assert_close(capture.light_hemisphere.up, mean, 1e-9);
     // All cameras are there to render from, and where no photograph is here the first is missed.
     assert_eq!(
-        read_cameras(fixture.folder.path()).expect("cameras").len(),
+        read_cameras(fixture.folder.path(), DVec3::ZERO)
+            .expect("cameras")
+            .len(),
         3
     );
     fixture.write(model, more);

@@ -1,14 +1,16 @@
 //! Cameras as a `transforms.json` in the nerfstudio convention, which `rekindle render --cameras` reads too.
 
+use glam::DVec3;
 use serde_json::{Map, Value, json};
 
 use super::Camera;
 
-/// A frame for each camera, with its name as `file_path` and all intrinsics.
-pub fn transforms(cameras: &[(String, Camera)]) -> Value {
+/// A frame for each camera, with its name as `file_path` and all intrinsics, in the world in which theirs has its origin at
+/// `origin`.
+pub fn transforms(cameras: &[(String, Camera)], origin: DVec3) -> Value {
     let frames: Vec<Value> = cameras
         .iter()
-        .map(|(name, camera)| frame(name, camera))
+        .map(|(name, camera)| frame(name, &camera.clone().seen_about(-origin)))
         .collect();
     json!({ "frames": frames })
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use glam::DVec3;
+use glam::{DMat4, DVec3};
 use serde_json::{Value, json};
 
 use super::interrupt::{self, Interrupted};
@@ -61,12 +61,12 @@ pub(super) fn run(args: &AlignArgs, output: OutputArgs) -> anyhow::Result<()> {
     progress.stage("reading the capture", 0.0);
     let (capture, _) = Capture::load_unplaced(&args.capture)?;
     let points = match &args.points {
-        Some(path) => read_points(path, &capture.views)?,
+        Some(path) => read_points(path, &capture)?,
         None => Vec::new(),
     };
     let start = match &args.pairs {
         Some(path) => Start::At(
-            Similarity::from_pairs(&read_pairs(path)?)
+            Similarity::from_pairs(&read_pairs(path, capture.mesh.origin)?)
                 .with_context(|| path.display().to_string())?,
         ),
         None if args.points.is_some() => Start::Marks(&points),
@@ -107,7 +107,7 @@ pub(super) fn run(args: &AlignArgs, output: OutputArgs) -> anyhow::Result<()> {
                 .map_err(cannot_write(path))?;
         }
         (None, Some(path)) => {
-            write_mesh_transform(&path, &alignment.transform.matrix())
+            write_mesh_transform(&path, &in_world(&capture, &alignment))
                 .map_err(cannot_write(&path))?;
         }
         (None, None) => {}
@@ -142,8 +142,14 @@ fn check_written(args: &AlignArgs, manifest: Option<&Path>) -> anyhow::Result<Ve
     })
 }
 
-/// Lines of six numbers.
-fn read_pairs(path: &Path) -> anyhow::Result<Vec<[DVec3; 2]>> {
+/// The transform as the world has it.
+fn in_world(capture: &Capture, alignment: &Alignment) -> DMat4 {
+    let matrix = alignment.transform.matrix();
+    capture.mesh.world_transform(&matrix)
+}
+
+/// Lines of six numbers, as points about `origin`.
+fn read_pairs(path: &Path, origin: DVec3) -> anyhow::Result<Vec<[DVec3; 2]>> {
     let text = files::read_text(path)
         .with_context(|| format!("{}: can't be read; check that it is a file", path.display()))?;
     let mut pairs = Vec::new();
@@ -158,7 +164,9 @@ fn read_pairs(path: &Path) -> anyhow::Result<Vec<[DVec3; 2]>> {
             .map(|word| word.parse().ok().filter(|v: &f64| v.is_finite()))
             .collect();
         match numbers.as_deref() {
-            Some(&[x, y, z, u, v, w]) => pairs.push([DVec3::new(x, y, z), DVec3::new(u, v, w)]),
+            Some(&[x, y, z, u, v, w]) => {
+                pairs.push([DVec3::new(x, y, z), DVec3::new(u, v, w)].map(|point| point - origin))
+            }
             _ => bail!(
                 "{}: line {} is not six numbers; write x,y,z of the mesh and X,Y,Z where it belongs",
                 path.display(),
@@ -179,7 +187,7 @@ fn report(capture: &Capture, alignment: &Alignment, output: OutputArgs) {
             .map(|(view, overlap)| json!({ "name": view.name, "overlap": overlap }))
             .collect();
         print_json(&json!({
-            "mesh_transform": transform.matrix().transpose().to_cols_array_2d(),
+            "mesh_transform": in_world(capture, alignment).transpose().to_cols_array_2d(),
             "scale": transform.scale,
             "overlap": alignment.mean_overlap(),
             "ambiguous": alignment.ambiguous,
@@ -191,7 +199,7 @@ fn report(capture: &Capture, alignment: &Alignment, output: OutputArgs) {
             print_line(&format!("{}  overlap {text}", view.name));
         }
         let (axis, angle) = transform.rotation.to_axis_angle();
-        let t = transform.translation;
+        let t = in_world(capture, alignment).w_axis;
         print_line(&format!(
             "scale {:.6}, turned by {:.3}° about [{:.4}, {:.4}, {:.4}], shifted by [{:.6}, {:.6}, {:.6}]",
             transform.scale,

@@ -100,7 +100,7 @@ pub(super) fn run(args: &ExportArgs, output: OutputArgs) -> anyhow::Result<()> {
         None => Vec::new(),
     };
     let cameras = match &args.cameras {
-        Some(path) => read_cameras(path)?,
+        Some(path) => read_cameras(path, solution.mesh.origin)?,
         None => solution.cameras.clone(),
     };
     let lighting = relight::apply(&edits, &solution.lighting())?;

@@ -4,7 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use super::interrupt;
 use super::progress::Progress;
@@ -51,7 +51,7 @@ pub(super) fn run(args: &RenderArgs, output: OutputArgs) -> anyhow::Result<()> {
     progress.warn_all(&settled);
     progress.stage("reading the solution", 0.0);
     let solution = Solution::load(solution_folder(&args.solution))?;
-    let shots = shots(&args.cameras)?;
+    let shots = shots(&args.cameras, solution.mesh.origin)?;
     check_inputs(args, &shots)?;
     let edits = match &args.edits {
         Some(path) => relight::load(path)?,
@@ -117,10 +117,10 @@ fn check_inputs(args: &RenderArgs, shots: &[Shot]) -> anyhow::Result<()> {
     Ok(check_overwrites_no_input(&args.output, names, &inputs)?)
 }
 
-/// One shot per frame of a cameras file, named by the stem of its file path.
-pub(super) fn shots(cameras: &Path) -> anyhow::Result<Vec<Shot>> {
+/// One shot per frame of a cameras file, named by the stem of its file path, of what lies about `origin`.
+pub(super) fn shots(cameras: &Path, origin: DVec3) -> anyhow::Result<Vec<Shot>> {
     let mut shots: Vec<Shot> = Vec::new();
-    for (name, camera) in read_cameras(cameras)? {
+    for (name, camera) in read_cameras(cameras, origin)? {
         let Some(stem) = Path::new(&name).file_stem() else {
             bail!(
                 "{}: file_path \"{name}\" has no file name to call the picture by; give it one",

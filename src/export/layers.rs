@@ -160,6 +160,7 @@ struct Surface {
     albedo: [f32; 3],
     irradiance: [f32; 3],
     normal: [f32; 3],
+    /// In the world.
     position: [f32; 3],
     depth: f32,
 }
@@ -212,7 +213,7 @@ fn surface(solution: &Solution, camera: &Camera, band: &Band, pixel: usize) -> S
         albedo: albedo.to_array(),
         irradiance: Vec3::select(dark, Vec3::ZERO, diffuse / albedo).to_array(),
         normal: normal.normalize_or_zero().to_array(),
-        position: position.to_array(),
+        position: solution.mesh.in_world(position).as_vec3().to_array(),
         depth,
     }
 }

@@ -2,7 +2,7 @@
 
 use std::f32::consts::PI;
 
-use glam::{DMat3, Quat, Vec2, Vec3};
+use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
 use super::gauge::Material;
 use crate::capture::{Camera, Mesh};
@@ -60,6 +60,8 @@ pub struct Asset {
     pub white: f32,
     /// The turn from the solution's world into this one, whose up is +Y.
     pub turn: Quat,
+    /// Place in the solution's world of what is this one's origin.
+    pub origin: DVec3,
 }
 
 impl Asset {
@@ -116,6 +118,7 @@ impl Asset {
                 .collect(),
             white: solution.white(),
             turn,
+            origin: solution.mesh.origin,
         }
     }
 
@@ -162,6 +165,7 @@ fn upright(up: Vec3) -> Quat {
 
 fn turned_mesh(mesh: &Mesh, turn: Quat) -> Mesh {
     Mesh {
+        origin: DVec3::ZERO,
         positions: mesh.positions.iter().map(|&p| turn * p).collect(),
         normals: mesh.normals.iter().map(|&n| turn * n).collect(),
         ..mesh.clone()

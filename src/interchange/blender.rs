@@ -2,6 +2,7 @@
 //!
 //! The script is the same for every export. Near lamps become point lights with a radius, distant ones suns.
 
+use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::asset::Asset;
@@ -59,7 +60,7 @@ pub fn scene(asset: &Asset, files: &Files) -> Value {
         },
         "interreflections": material.model == Some(SpecularModel::Microfacet),
         "lamps": lamps,
-        "cameras": transforms(&asset.cameras)["frames"],
+        "cameras": transforms(&asset.cameras, DVec3::ZERO)["frames"],
         "white": asset.white,
     })
 }

@@ -6,6 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use glam::DVec3;
 use serde_json::Value;
 use thiserror::Error;
 
@@ -371,7 +372,7 @@ fn files<'a>(asset: &'a Asset, job: &Job) -> Vec<File<'a>> {
             Form::Light => files.light(),
             // A file without frames is none that programs read.
             Form::Cameras if asset.cameras.is_empty() => {}
-            Form::Cameras => files.json("cameras.json", || transforms(&asset.cameras)),
+            Form::Cameras => files.json("cameras.json", || transforms(&asset.cameras, DVec3::ZERO)),
             Form::Blender => files.blender(),
             Form::Mitsuba => files.mitsuba(),
             Form::Gltf => files.add("object.glb", |path| {

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use glam::Quat;
+use glam::{DVec3, Quat};
 
 use super::asset::Asset;
 use super::fidelity::Fidelity;
@@ -73,6 +73,14 @@ pub fn notes(asset: &Asset, fidelity: Option<Fidelity>) -> Vec<String> {
             "The object is turned, so that +Y is up, with its lamps and cameras; pictures with layers keep the capture's world."
                 .to_owned(),
         );
+    }
+    if asset.origin != DVec3::ZERO {
+        let o = asset.origin;
+        notes.push(format!(
+            "The object lies far from the origin of the capture's world, which other programs' single precision would blur; \
+             it is moved near it, with its lamps and cameras, by [{}, {}, {}].",
+            -o.x, -o.y, -o.z
+        ));
     }
     let distorted = |(_, camera): &(_, crate::capture::Camera)| !camera.distortion.is_none();
     if asset.cameras.iter().any(distorted) {

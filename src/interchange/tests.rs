@@ -281,9 +281,9 @@ fn cameras_come_back_from_their_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cameras.json");
     let cameras = [("a/b.exr".to_owned(), camera())];
-    let text = crate::capture::transforms(&cameras).to_string();
+    let text = crate::capture::transforms(&cameras, DVec3::ZERO).to_string();
     fs::write(&path, text).unwrap();
-    let read = read_cameras(&path).unwrap();
+    let read = read_cameras(&path, DVec3::ZERO).unwrap();
     assert_eq!(read[0].0, "a/b.exr");
     let point = DVec3::new(0.2, -0.4, 0.1);
     let (a, b) = (

@@ -67,7 +67,8 @@ pub(super) struct Hemisphere {
     pub(super) active: usize,
     pub(super) up: [f32; 3],
     pub(super) radius: Option<f32>,
-    pub(super) centre: [f32; 3],
+    /// In the world.
+    pub(super) centre: [f64; 3],
 }
 
 #[derive(Serialize, Deserialize)]

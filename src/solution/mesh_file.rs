@@ -6,9 +6,9 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use glam::{Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 
-use crate::capture::Mesh;
+use crate::capture::{Mesh, origin_near};
 use crate::files;
 
 /// A mesh with the texture coordinates of every triangle's corners, v upwards, both in [0, 1].
@@ -23,7 +23,9 @@ pub struct TexturedMesh {
 /// What is stored of a mesh.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeshParts {
-    /// One position per vertex.
+    /// As [`Mesh::origin`].
+    pub origin: DVec3,
+    /// One position per vertex, from the origin.
     pub positions: Vec<Vec3>,
     /// One unit normal per vertex.
     pub normals: Vec<Vec3>,
@@ -31,14 +33,33 @@ pub struct MeshParts {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Bytes of a vertex and of a triangle in the PLY file.
-const VERTEX_BYTES: usize = 6 * 4;
+/// Bytes of a triangle in the PLY file.
 const TRIANGLE_BYTES: usize = 1 + 3 * 4 + 1 + 6 * 4;
 
-fn header(vertices: usize, triangles: usize) -> String {
+/// How the file states positions: surveyed ones need double precision.
+#[derive(Clone, Copy)]
+enum Positions {
+    Single,
+    Double,
+}
+
+impl Positions {
+    fn vertex_bytes(self) -> usize {
+        match self {
+            Self::Single => 6 * 4,
+            Self::Double => 3 * 8 + 3 * 4,
+        }
+    }
+}
+
+fn header(positions: Positions, vertices: usize, triangles: usize) -> String {
+    let real = match positions {
+        Positions::Single => "float",
+        Positions::Double => "double",
+    };
     format!(
         "ply\nformat binary_little_endian 1.0\ncomment written by rekindle; texture diffuse.exr\n\
-         element vertex {vertices}\nproperty float x\nproperty float y\nproperty float z\n\
+         element vertex {vertices}\nproperty {real} x\nproperty {real} y\nproperty {real} z\n\
          property float nx\nproperty float ny\nproperty float nz\n\
          element face {triangles}\nproperty list uchar uint vertex_indices\n\
          property list uchar float texcoord\nend_header\n"
@@ -48,12 +69,22 @@ fn header(vertices: usize, triangles: usize) -> String {
 /// Writes the binary PLY file.
 pub fn write_ply(path: &Path, mesh: &Mesh, corner_uvs: &[[Vec2; 3]]) -> io::Result<()> {
     let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
-    let mut bytes = header(vertices, triangles).into_bytes();
-    bytes.reserve(vertices * VERTEX_BYTES + triangles * TRIANGLE_BYTES);
-    for (position, normal) in mesh.positions.iter().zip(&mesh.normals) {
-        for value in position.to_array().into_iter().chain(normal.to_array()) {
-            bytes.extend(value.to_le_bytes());
+    let kind = if mesh.origin == DVec3::ZERO {
+        Positions::Single
+    } else {
+        Positions::Double
+    };
+    let mut bytes = header(kind, vertices, triangles).into_bytes();
+    bytes.reserve(vertices * kind.vertex_bytes() + triangles * TRIANGLE_BYTES);
+    for (&position, normal) in mesh.positions.iter().zip(&mesh.normals) {
+        match kind {
+            Positions::Single => put_all(&mut bytes, position.to_array().map(f32::to_le_bytes)),
+            Positions::Double => {
+                let world = mesh.in_world(position);
+                put_all(&mut bytes, world.to_array().map(f64::to_le_bytes));
+            }
         }
+        put_all(&mut bytes, normal.to_array().map(f32::to_le_bytes));
     }
     for (triangle, uvs) in mesh.triangles.iter().zip(corner_uvs) {
         bytes.push(3);
@@ -67,6 +98,10 @@ pub fn write_ply(path: &Path, mesh: &Mesh, corner_uvs: &[[Vec2; 3]]) -> io::Resu
         }
     }
     fs::write(path, bytes)
+}
+
+fn put_all<const N: usize>(bytes: &mut Vec<u8>, values: [[u8; N]; 3]) {
+    bytes.extend(values.into_iter().flatten());
 }
 
 /// Reads what [`write_ply`] wrote; the error says what is wrong with the file.
@@ -86,31 +121,29 @@ pub fn read_ply(path: &Path) -> Result<TexturedMesh, String> {
             .ok_or_else(|| format!("its header lacks \"{element}\""))
     };
     let (vertices, triangles) = (count("element vertex ")?, count("element face ")?);
+    let kinds = [Positions::Single, Positions::Double];
+    let kind = kinds
+        .into_iter()
+        .find(|&kind| text == header(kind, vertices, triangles))
+        .ok_or("it is not as rekindle wrote it")?;
+    let vertex_bytes = kind.vertex_bytes();
     let expected = vertices
-        .checked_mul(VERTEX_BYTES)
+        .checked_mul(vertex_bytes)
         .zip(triangles.checked_mul(TRIANGLE_BYTES))
         .and_then(|(v, t)| v.checked_add(t));
-    if text != header(vertices, triangles) || expected != Some(bytes.len() - end) {
-        return Err("it is not as rekindle wrote it, or is cut short".to_owned());
+    if expected != Some(bytes.len() - end) {
+        return Err("it is cut short, or goes on after its end".to_owned());
     }
-    let (vertex_bytes, face_bytes) = bytes[end..].split_at(vertices * VERTEX_BYTES);
-    let mut parts = MeshParts {
-        positions: Vec::with_capacity(vertices),
-        normals: Vec::with_capacity(vertices),
-        triangles: Vec::with_capacity(triangles),
-    };
-    for chunk in vertex_bytes.chunks_exact(VERTEX_BYTES) {
-        let value = |i: usize| f32::from_le_bytes(word(chunk, 4 * i));
-        let (position, normal) = (
-            Vec3::new(value(0), value(1), value(2)),
-            Vec3::new(value(3), value(4), value(5)),
-        );
-        if !position.is_finite() || !normal.is_finite() {
-            return Err("it has vertices that are not finite".to_owned());
-        }
-        parts.positions.push(position);
-        parts.normals.push(normal);
+    let (vertex_part, face_bytes) = bytes[end..].split_at(vertices * vertex_bytes);
+    let (positions, normals): (Vec<DVec3>, Vec<Vec3>) = vertex_part
+        .chunks_exact(vertex_bytes)
+        .map(|chunk| vertex(kind, chunk))
+        .unzip();
+    if !positions.iter().all(|p| p.as_vec3().is_finite()) || !normals.iter().all(|n| n.is_finite())
+    {
+        return Err("it has vertices that are not finite".to_owned());
     }
+    let mut faces = Vec::with_capacity(triangles);
     let mut corner_uvs = Vec::with_capacity(triangles);
     for chunk in face_bytes.chunks_exact(TRIANGLE_BYTES) {
         let triangle = [1, 5, 9].map(|at| u32::from_le_bytes(word(chunk, at)));
@@ -125,30 +158,59 @@ pub fn read_ply(path: &Path) -> Result<TexturedMesh, String> {
         if uvs.iter().any(|uv| !uv.is_finite()) {
             return Err("it has texture coordinates that are not finite".to_owned());
         }
-        parts.triangles.push(triangle);
+        faces.push(triangle);
         corner_uvs.push(uvs);
     }
     if triangles == 0 {
         return Err("it has no triangles".to_owned());
     }
+    let used = faces.iter().flatten().map(|&v| positions[v as usize]);
+    let origin = match kind {
+        Positions::Single => DVec3::ZERO,
+        Positions::Double => origin_near(used),
+    };
     Ok(TexturedMesh {
-        mesh: parts,
+        mesh: MeshParts {
+            origin,
+            positions: positions.iter().map(|&p| (p - origin).as_vec3()).collect(),
+            normals,
+            triangles: faces,
+        },
         corner_uvs,
     })
 }
 
-/// The four bytes at `at`; zeros past the end.
-fn word(bytes: &[u8], at: usize) -> [u8; 4] {
+/// Position in the world and normal of one vertex.
+fn vertex(kind: Positions, bytes: &[u8]) -> (DVec3, Vec3) {
+    let single = |at: usize| f32::from_le_bytes(word(bytes, at));
+    let double = |at: usize| f64::from_le_bytes(word(bytes, at));
+    let normal = |at: usize| Vec3::new(single(at), single(at + 4), single(at + 8));
+    match kind {
+        Positions::Single => (
+            Vec3::new(single(0), single(4), single(8)).as_dvec3(),
+            normal(12),
+        ),
+        Positions::Double => (DVec3::new(double(0), double(8), double(16)), normal(24)),
+    }
+}
+
+/// The bytes at `at`; zeros past the end.
+fn word<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
     bytes
-        .get(at..at + 4)
+        .get(at..at + N)
         .and_then(|b| b.try_into().ok())
-        .unwrap_or_default()
+        .unwrap_or([0; N])
 }
 
 /// Positions and normals as lines of a Wavefront OBJ file; writing into a string can't fail.
 fn obj_vertices(text: &mut String, mesh: &Mesh) {
-    for p in &mesh.positions {
-        let _ = writeln!(text, "v {} {} {}", p.x, p.y, p.z);
+    for &p in &mesh.positions {
+        let _ = if mesh.origin == DVec3::ZERO {
+            writeln!(text, "v {} {} {}", p.x, p.y, p.z)
+        } else {
+            let p = mesh.in_world(p);
+            writeln!(text, "v {} {} {}", p.x, p.y, p.z)
+        };
     }
     for n in &mesh.normals {
         let _ = writeln!(text, "vn {} {} {}", n.x, n.y, n.z);
@@ -187,6 +249,7 @@ mod tests {
 
     fn example() -> (Mesh, Vec<[Vec2; 3]>) {
         let mesh = Mesh {
+            origin: DVec3::ZERO,
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::new(0.1, 0.7, 1e-9)],
             normals: vec![Vec3::Z; 3],
             uvs: Vec::new(),

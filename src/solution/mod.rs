@@ -40,7 +40,7 @@ use std::io;
 use std::path::Path;
 use std::time::Instant;
 
-use glam::{Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::capture::{Camera, Mesh, read_cameras, transforms};
@@ -238,7 +238,7 @@ impl Solution {
                 if self.cameras.is_empty() {
                     return Ok(());
                 }
-                let cameras = transforms(&self.cameras);
+                let cameras = transforms(&self.cameras, self.mesh.origin);
                 write_json(&folder.join("cameras.json"), &cameras, true)
             }),
         ];
@@ -315,7 +315,7 @@ impl Solution {
                 active: self.radiance.iter().filter(|r| **r != [0.0; 3]).count(),
                 up: self.grid.up.to_array(),
                 radius: self.grid.radius,
-                centre: self.grid.centre.to_array(),
+                centre: world_centre(&self.mesh, self.grid.centre),
             },
             lights: self
                 .lamps
@@ -364,7 +364,7 @@ impl Solution {
             path: folder.join(file),
             what,
         };
-        let grid = check_manifest(&manifest).map_err(|what| damaged("solution.json", what))?;
+        let mut grid = check_manifest(&manifest).map_err(|what| damaged("solution.json", what))?;
         let (radiance, node_lists) = read_nodes(folder, &manifest)?;
         let (width, height) = (manifest.texture.width, manifest.texture.height);
         let rgb = |name: &str| {
@@ -381,7 +381,9 @@ impl Solution {
             },
         );
         let mesh = mesh.map_err(|what| damaged("mesh.ply", what))?;
-        let cameras = read_stored_cameras(&folder.join("cameras.json"));
+        let origin = mesh.mesh.origin;
+        grid.centre = (DVec3::from(manifest.hemisphere.centre) - origin).as_vec3();
+        let cameras = read_stored_cameras(&folder.join("cameras.json"), origin);
         let size = Vec2::new(width as f32, height as f32);
         let corner_uvs = mesh
             .corner_uvs
@@ -425,6 +427,7 @@ impl Solution {
             skipped: manifest.skipped,
             cameras: cameras.map_err(|what| damaged("cameras.json", what))?,
             mesh: Mesh {
+                origin,
                 positions: mesh.mesh.positions,
                 normals: mesh.mesh.normals,
                 uvs: Vec::new(),
@@ -619,10 +622,20 @@ fn read_manifest(folder: &Path, path: &Path) -> Result<Manifest, SolutionError> 
     read_json(path)
 }
 
+/// The hemisphere's centre as the world has it, without digits that single precision did not have.
+fn world_centre(mesh: &Mesh, centre: Vec3) -> [f64; 3] {
+    let shortest = |v: f32| v.to_string().parse().unwrap_or_else(|_| f64::from(v));
+    if mesh.origin == DVec3::ZERO {
+        centre.to_array().map(shortest)
+    } else {
+        mesh.in_world(centre).to_array()
+    }
+}
+
 /// The cameras of a solution; the error says what is wrong with the file.
-fn read_stored_cameras(path: &Path) -> Result<Vec<(String, Camera)>, String> {
+fn read_stored_cameras(path: &Path, origin: DVec3) -> Result<Vec<(String, Camera)>, String> {
     if path.is_file() {
-        read_cameras(path).map_err(|e| e.to_string())
+        read_cameras(path, origin).map_err(|e| e.to_string())
     } else {
         Ok(Vec::new())
     }
@@ -678,7 +691,7 @@ fn check_manifest(manifest: &Manifest) -> Result<HemisphereGrid, String> {
     {
         return Err("the hemisphere's radius is not positive".to_owned());
     }
-    if !Vec3::from(hemisphere.centre).is_finite() {
+    if !DVec3::from(hemisphere.centre).as_vec3().is_finite() {
         return Err("the hemisphere's centre is not finite".to_owned());
     }
     let lamps = &manifest.lights;
@@ -703,7 +716,7 @@ fn check_manifest(manifest: &Manifest) -> Result<HemisphereGrid, String> {
         hemisphere.frequency,
         hemisphere.up.into(),
         hemisphere.radius,
-        hemisphere.centre.into(),
+        Vec3::ZERO,
     );
     if grid.directions.len() != hemisphere.nodes {
         return Err(format!(
@@ -748,6 +761,7 @@ mod tests {
         radiance[5] = [0.1, 20.0, 1e-7];
         radiance[6] = [0.3, 2.0, 1.0];
         let mesh = Mesh {
+            origin: glam::DVec3::ZERO,
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Z],
             normals: vec![Vec3::Y; 3],
             uvs: Vec::new(),

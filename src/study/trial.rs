@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use glam::DVec3;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use serde_json::Value;
@@ -193,7 +194,7 @@ fn medians(costs: &[Cost]) -> Cost {
 
 /// Seconds that reading and decoding all photographs and adding up their pixels takes: no solve can be faster.
 fn floor(capture: &Path) -> Result<f64, StudyError> {
-    let cameras = read_cameras(&capture.join("transforms.json"))?;
+    let cameras = read_cameras(&capture.join("transforms.json"), DVec3::ZERO)?;
     let paths: Vec<PathBuf> = cameras.iter().map(|(name, _)| capture.join(name)).collect();
     let started = Instant::now();
     let sums = paths

@@ -618,6 +618,7 @@ mod tests {
     #[test]
     fn one_triangle_and_very_many_texels_fit() {
         let one = Mesh {
+            origin: glam::DVec3::ZERO,
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
             normals: vec![Vec3::Z; 3],
             uvs: Vec::new(),

@@ -411,6 +411,7 @@ mod tests {
         let empty = Occluder::new(&Mesh::default());
         assert!(empty.hit(Vec3::ZERO, Vec3::Z).is_none());
         let mesh = Mesh {
+            origin: glam::DVec3::ZERO,
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
             normals: vec![Vec3::Z; 3],
             uvs: Vec::new(),
@@ -421,6 +422,7 @@ mod tests {
         assert_eq!(hit.triangle, 2);
         assert!(occluder.hit(Vec3::splat(f32::NAN), Vec3::NEG_Z).is_none());
         let flat = Mesh {
+            origin: glam::DVec3::ZERO,
             positions: vec![Vec3::ONE; 3],
             normals: vec![Vec3::Z; 3],
             uvs: Vec::new(),

@@ -589,6 +589,7 @@ mod tests {
     fn a_triangle_that_reaches_behind_the_camera_is_drawn_where_it_is() {
         // A floor under the camera, from far ahead to far behind.
         let mesh = Mesh {
+            origin: glam::DVec3::ZERO,
             positions: vec![
                 Vec3::new(-100.0, -1.0, 100.0),
                 Vec3::new(100.0, -1.0, 100.0),
@@ -678,6 +679,7 @@ mod tests {
                 .map(|(x, y)| Vec3::new(x, y, z))
         };
         let mesh = Mesh {
+            origin: glam::DVec3::ZERO,
             positions: [square(2.0, 0.0), square(0.5, 0.5)].concat(),
             normals: vec![Vec3::Z; 8],
             uvs: Vec::new(),

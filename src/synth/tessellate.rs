@@ -135,6 +135,7 @@ impl Net {
         let wound = |[a, b, c]: [u32; 3]| if outwards < 0.0 { [a, c, b] } else { [a, b, c] };
         let triangles = self.triangles.into_iter().map(wound).collect();
         Mesh {
+            origin: glam::DVec3::ZERO,
             positions: places.iter().map(|p| p.as_vec3()).collect(),
             normals: normals.iter().map(|n| n.as_vec3()).collect(),
             uvs: Vec::new(),

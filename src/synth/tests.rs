@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 
-use glam::{DMat3, Vec3};
+use glam::{DMat3, DVec3, Vec3};
 use tempfile::TempDir;
 
 use super::*;
@@ -163,7 +163,8 @@ fn parts_add_up_and_lamps_add_up() {
 #[test]
 fn stated_cameras_are_turned_by_the_stated_angle_in_their_place() {
     let folder = made(|recipe| recipe.errors.rotation = 1.5_f32.to_radians());
-    let read = |file: &str| read_cameras(&folder.path().join("made").join(file)).unwrap();
+    let read =
+        |file: &str| read_cameras(&folder.path().join("made").join(file), DVec3::ZERO).unwrap();
     let truth = read("truth/transforms.json");
     let mut axes = Vec::new();
     for ((_, stated), (_, truth)) in read("transforms.json").iter().zip(&truth) {
