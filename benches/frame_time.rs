@@ -55,7 +55,8 @@ fn run(arguments: &[String]) -> anyhow::Result<()> {
     let folder = arguments.iter().find(|a| size(a).is_none());
     let demo = tempfile::tempdir()?;
     unpack_demo(demo.path())?;
-    let (_, camera) = read_cameras(&demo.path().join("transforms.json"))?.swap_remove(0);
+    let (_, camera) =
+        read_cameras(&demo.path().join("transforms.json"), DVec3::ZERO)?.swap_remove(0);
     let solution = if let Some(folder) = folder {
         Solution::load(Path::new(folder))?
     } else {

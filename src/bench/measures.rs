@@ -1,6 +1,8 @@
 //! How far an estimate is from the truth. Lights are known up to one common factor, K_S: fluxes and hemispheres are
 //! compared after the estimate is scaled to the truth's.
 
+use std::collections::BTreeSet;
+
 use glam::Vec3;
 
 use super::truth::{TrueLamp, Truth};
@@ -43,6 +45,8 @@ pub struct Errors {
     pub direction_deg: Option<f64>,
     /// Largest relative error of a lamp's flux.
     pub flux: Option<f64>,
+    /// Part of the flux found that is in lights that are no true lamp's.
+    pub outside: Option<f64>,
     /// Relative error of the blurred hemisphere; see [`hemisphere_error`].
     pub hemisphere: Option<f64>,
 }
@@ -102,6 +106,7 @@ impl<'a> Measures<'a> {
                 .map(|(found, truth)| f64::from(found) / f64::from(truth) - 1.0),
             direction_deg: lamps.as_ref().map(|(angles, _)| worst(angles)),
             flux: lamps.as_ref().map(|(_, fluxes)| worst(fluxes)),
+            outside: outside(&self.truth.lamps, found),
             hemisphere: hemisphere_error(&self.blurred, &blur(&self.compared, &sources)),
         }
     }
@@ -113,15 +118,8 @@ pub fn lamp_errors(truth: &[TrueLamp], found: &[FoundLamp]) -> Option<(Vec<f64>,
     if truth.is_empty() || found.is_empty() {
         return None;
     }
-    let angle = |a: Vec3, b: Vec3| a.as_dvec3().angle_between(b.as_dvec3()).to_degrees();
-    let nearest: Vec<&FoundLamp> = truth
-        .iter()
-        .filter_map(|lamp| {
-            let away = |f: &&FoundLamp| angle(f.direction, lamp.direction);
-            found.iter().min_by(|a, b| away(a).total_cmp(&away(b)))
-        })
-        .collect();
-    let sum = |flux: Vec3| f64::from(flux.element_sum());
+    let nearest = nearest(truth, found).map(|i| &found[i]);
+    let nearest: Vec<&FoundLamp> = nearest.collect();
     let total: f64 = truth.iter().map(|lamp| sum(lamp.flux)).sum();
     let total_found: f64 = nearest.iter().map(|lamp| sum(lamp.flux)).sum();
     let scale = total / total_found.max(f64::MIN_POSITIVE);
@@ -135,6 +133,30 @@ pub fn lamp_errors(truth: &[TrueLamp], found: &[FoundLamp]) -> Option<(Vec<f64>,
             })
             .unzip(),
     )
+}
+
+/// For every true lamp the place of the nearest one found.
+fn nearest(truth: &[TrueLamp], found: &[FoundLamp]) -> impl Iterator<Item = usize> {
+    truth.iter().filter_map(|lamp| {
+        let away = |i: &usize| angle(found[*i].direction, lamp.direction);
+        (0..found.len()).min_by(|a, b| away(a).total_cmp(&away(b)))
+    })
+}
+
+/// Part of the flux found that is in lights that are nearest to no true one.
+fn outside(truth: &[TrueLamp], found: &[FoundLamp]) -> Option<f64> {
+    let own: BTreeSet<usize> = nearest(truth, found).collect();
+    let all: f64 = found.iter().map(|lamp| sum(lamp.flux)).sum();
+    let inside: f64 = own.iter().map(|&i| sum(found[i].flux)).sum();
+    (!own.is_empty() && all > 0.0).then(|| 1.0 - inside / all)
+}
+
+fn angle(a: Vec3, b: Vec3) -> f64 {
+    a.as_dvec3().angle_between(b.as_dvec3()).to_degrees()
+}
+
+fn sum(flux: Vec3) -> f64 {
+    flux.element_sum().into()
 }
 
 /// Points of a lamp's disc with their shares of its flux.

@@ -11,8 +11,8 @@ use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::{OutputArgs, json_path, print_json, print_line};
 use crate::synth::{
-    Encode, Files, GeometryErrors, Lamps, Light, Material, Normals, Object, Places, Recipe, Sensor,
-    SynthError, Views, check_destination, make,
+    Encode, Files, GeometryErrors, Lamps, Light, Material, Mistake, Normals, Object, Places,
+    Recipe, Sensor, SynthError, Views, check_destination, make,
 };
 
 /// Arguments of `rekindle synth`.
@@ -159,6 +159,41 @@ struct FaultArgs {
     /// Standard deviation of the stated normals' tilt to each of two sides, degrees
     #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = within::<0, 45>)]
     normal_noise: f32,
+    /// What else is wrong, and stated nowhere
+    #[arg(long, value_enum)]
+    mistake: Option<MistakeArg>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum MistakeArg {
+    /// Photographs without alpha, before a background as bright as the object
+    Background,
+    /// Linear files with sRGB-encoded values
+    Encoded,
+    /// One view four times as bright
+    BrighterView,
+    /// One view of another white balance, 5 % in red and blue
+    WhiteBalance,
+    /// One camera half a degree further round the object than it stood
+    OrbitedCamera,
+    /// A mesh that lacks a fifth of its triangles
+    Holes,
+    /// Twenty pixels of each view a thousand times too bright
+    HotPixels,
+}
+
+impl From<MistakeArg> for Mistake {
+    fn from(arg: MistakeArg) -> Self {
+        match arg {
+            MistakeArg::Background => Self::Background,
+            MistakeArg::Encoded => Self::Encoded,
+            MistakeArg::BrighterView => Self::BrighterView,
+            MistakeArg::WhiteBalance => Self::WhiteBalance,
+            MistakeArg::OrbitedCamera => Self::OrbitedCamera,
+            MistakeArg::Holes => Self::Holes,
+            MistakeArg::HotPixels => Self::HotPixels,
+        }
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -338,6 +373,7 @@ impl SynthArgs {
                 },
                 normal_noise: self.faults.normal_noise.to_radians(),
             },
+            mistake: self.faults.mistake.map(Into::into),
             truth_pictures: !self.no_pictures,
             seed: self.seed,
         })

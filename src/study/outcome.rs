@@ -7,6 +7,10 @@ const FINE_SIGMA: f64 = 0.01;
 const FINE_FLUX: f64 = 0.03;
 const FINE_DIRECTION: f64 = 0.3;
 
+/// What is said of a wrong σ.
+const WITHIN: &str = "σ (within its interval)";
+const BEYOND: &str = "σ (beyond its interval)";
+
 /// What came of a case.
 #[derive(Clone, Debug)]
 pub(super) enum Outcome {
@@ -66,7 +70,7 @@ pub(super) const STAGES: [&str; 7] = [
 pub(super) enum Verdict {
     /// All errors are small.
     Fine,
-    /// Some are not, in words.
+    /// Some are not, in words, and nothing says so but at most the interval of σ.
     Degrades(String),
     /// Some are not, and the program says that the result is not to be trusted.
     Doubted(String),
@@ -86,6 +90,11 @@ impl Outcome {
         }
     }
 
+    /// Whether the result is wrong and nothing says so.
+    pub(super) fn is_silently_wrong(&self) -> bool {
+        self.found().is_some_and(Found::is_silently_wrong)
+    }
+
     /// What was found, if anything was.
     pub(super) fn found(&self) -> Option<&Found> {
         match self {
@@ -102,12 +111,13 @@ impl Found {
             .is_some_and(|[low, high]| low <= 0.0 && high >= 0.0)
     }
 
-    fn verdict(&self) -> Verdict {
+    /// What is beyond what is fine, in words.
+    fn wrong(&self) -> Vec<String> {
         let worse = |error: Option<f64>, fine: f64| error.is_some_and(|e| e.abs() > fine);
         let mut wrong = Vec::new();
         if worse(self.errors.sigma, FINE_SIGMA) {
-            let side = if self.covers() { "within" } else { "beyond" };
-            wrong.push(format!("σ ({side} its interval)"));
+            let words = if self.covers() { WITHIN } else { BEYOND };
+            wrong.push(words.to_owned());
         }
         if worse(self.errors.direction_deg, FINE_DIRECTION) {
             wrong.push("directions".to_owned());
@@ -115,6 +125,20 @@ impl Found {
         if worse(self.errors.flux, FINE_FLUX) {
             wrong.push("fluxes".to_owned());
         }
+        if worse(self.errors.outside, FINE_FLUX) {
+            wrong.push("false lights".to_owned());
+        }
+        wrong
+    }
+
+    /// Whether something is wrong that neither the interval of σ nor a doubt says.
+    fn is_silently_wrong(&self) -> bool {
+        let known = |what: &String| what == WITHIN;
+        self.doubt.is_none() && !self.wrong().iter().all(known)
+    }
+
+    fn verdict(&self) -> Verdict {
+        let wrong = self.wrong();
         match &self.doubt {
             Some(doubt) => Verdict::Doubted(doubt.clone()),
             None if wrong.is_empty() => Verdict::Fine,
@@ -159,6 +183,7 @@ mod tests {
                 sigma: Some(sigma),
                 direction_deg: Some(0.1),
                 flux: Some(0.01),
+                outside: Some(0.0),
                 hemisphere: None,
             },
             lamps: [1, 1],
@@ -174,9 +199,16 @@ mod tests {
         let words = |found: Found| found.verdict().words().to_owned();
         assert_eq!(words(found(0.05, 0.06)), "σ (within its interval)");
         assert_eq!(words(found(-0.05, 0.01)), "σ (beyond its interval)");
+        assert!(!found(0.05, 0.06).is_silently_wrong());
+        assert!(found(-0.05, 0.01).is_silently_wrong());
+        let mut stray = found(0.0, 0.01);
+        stray.errors.outside = Some(0.1);
+        assert!(stray.is_silently_wrong());
+        assert_eq!(words(stray), "false lights");
         let mut doubted = found(0.05, 0.01);
         doubted.doubt = Some("Why.".to_owned());
         doubted.errors.direction_deg = Some(2.0);
+        assert!(!doubted.is_silently_wrong());
         assert_eq!(doubted.verdict(), Verdict::Doubted("Why.".to_owned()));
     }
 }

@@ -6,12 +6,15 @@ use glam::Vec3;
 
 use super::case::Group;
 use crate::hemisphere::HemisphereGrid;
-use crate::synth::{Files, Lamps, Light, Material, Normals, Object, Places, Recipe};
+use crate::synth::{Files, Lamps, Light, Material, Mistake, Normals, Object, Places, Recipe};
 
 /// Frequency of the grid among whose nodes lamps are placed: the default of `rekindle solve`.
 const FREQUENCY: u32 = 70;
 /// Where a lamp on a node is about: azimuth from the front and elevation, radians.
 const ABOUT: [f32; 2] = [-0.5, 0.8];
+
+/// Distance of near lights, mesh units.
+const NEAR: f32 = 4.0;
 
 /// The recipe from which all others depart by one thing.
 pub(super) fn base(size: [u32; 2]) -> Recipe {
@@ -38,6 +41,7 @@ pub(super) fn groups(size: [u32; 2]) -> Vec<Group> {
         light(&base),
         photographs(&base),
         geometry(&base),
+        mistakes(&base),
     ]
     .concat()
 }
@@ -326,6 +330,50 @@ fn geometry(base: &Recipe) -> Vec<Group> {
             &[3000.0, 10_000.0, 30_000.0],
             |recipe, count| {
                 recipe.errors.triangles = Some(count as u32);
+            },
+        ),
+    ]
+}
+
+/// What people get wrong and nothing in the capture states.
+fn mistakes(base: &Recipe) -> Vec<Group> {
+    let mut near = base.clone();
+    lamps(&mut near, |lamps| lamps.distance = Some(NEAR));
+    let mut even = base.clone();
+    lamps(&mut even, |lamps| {
+        lamps.places = Places::At(vec![[0.0, FRAC_PI_2]]);
+        lamps.contrast = 1.0;
+    });
+    let stated = |factor: f64| factor * f64::from(NEAR);
+    let mut distances = Group::sweep(
+        "near_radius",
+        "distance stated for near lights, times the true one",
+        &near,
+        &[0.8, 1.2, 2.0],
+        |_, _| {},
+    );
+    for case in &mut distances.cases {
+        let factor = case.value.unwrap_or(1.0);
+        case.options = vec!["--radius".to_owned(), stated(factor).to_string()];
+    }
+    vec![
+        Group::named(
+            "mistakes",
+            "what is wrong",
+            base,
+            &Mistake::ALL.map(|mistake| (mistake.name(), mistake)),
+            |recipe, mistake| recipe.mistake = Some(mistake),
+        ),
+        distances,
+        Group::sweep(
+            "even_light",
+            "angular radius of one light about the zenith, degrees",
+            &even,
+            &[45.0, 90.0],
+            |recipe, degrees| {
+                lamps(recipe, |lamps| {
+                    lamps.angular_radius = degrees.to_radians() as f32
+                });
             },
         ),
     ]

@@ -1,5 +1,6 @@
 //! The files of a made capture: photographs, their parts, and the manifests that say from where they were taken.
 
+use std::borrow::Cow;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -8,7 +9,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use super::recipe::{Encode, Files, Sensor};
+use super::recipe::{Encode, Files, Mistake, Sensor};
 use super::sensor::Exposed;
 use crate::capture::{Camera, camera_matrix};
 use crate::math::random::Random;
@@ -99,40 +100,65 @@ impl Folder {
     }
 }
 
-/// Writes the photographs that a sensor takes of pictures.
+/// What a sensor has read of pictures.
+pub(super) struct Taken<'a> {
+    pictures: &'a [Picture],
+    /// RGB of every view, premultiplied by coverage.
+    read: Vec<Vec<[f32; 3]>>,
+    /// Whether files state no coverage.
+    opaque: bool,
+}
+
+impl<'a> Taken<'a> {
+    pub(super) fn new(exposed: &Exposed, pictures: &'a [Picture]) -> Self {
+        let read = pictures.par_iter().enumerate();
+        Self {
+            pictures,
+            read: read.map(|(i, picture)| exposed.read(i, picture)).collect(),
+            opaque: false,
+        }
+    }
+
+    /// Puts a mistake into all of it.
+    pub(super) fn spoil(&mut self, mistake: Mistake, random: Random) {
+        mistake.spoil(&mut self.read, self.pictures, random);
+        self.opaque = mistake.is_opaque();
+    }
+}
+
+/// Writes photographs as files of a sensor that is full at a radiance.
 pub(super) fn photographs(
     folder: &Folder,
     sensor: Sensor,
-    exposed: &Exposed,
-    pictures: &[Picture],
+    taken: &Taken,
+    full_scale: f32,
     times: Random,
 ) -> io::Result<Vec<Frame>> {
     fs::create_dir_all(folder.path.join("images"))?;
-    let read: Vec<Vec<[f32; 3]>> = pictures
-        .par_iter()
-        .enumerate()
-        .map(|(i, picture)| exposed.read(i, picture))
-        .collect();
+    let Taken { pictures, read, .. } = taken;
     // The shortest of a bracket's exposures has the brightest pixel at full scale, or the sensor's.
     let brightest = read
         .iter()
         .flatten()
         .flatten()
         .fold(0.0_f32, |m, &v| m.max(v));
-    let full_scale = f64::from(exposed.full_scale.min(brightest).max(f32::MIN_POSITIVE));
+    let full_scale = f64::from(full_scale.min(brightest).max(f32::MIN_POSITIVE));
     (0..pictures.len())
         .into_par_iter()
         .map(|i| {
-            let (picture, read) = (&pictures[i], &read[i]);
+            let (mut picture, read) = (Cow::Borrowed(&pictures[i]), &read[i]);
+            if taken.opaque {
+                picture.to_mut().coverage.fill(1.0);
+            }
             match sensor.files {
-                Files::Exr => exposure(folder, i, picture, read, None),
+                Files::Exr => exposure(folder, i, &picture, read, None),
                 Files::Exposures(stops) => {
                     let time = (f64::from(stops) * (times.uniform(i as u64) - 0.5)).exp2();
-                    exposure(folder, i, picture, read, Some(time))
+                    exposure(folder, i, &picture, read, Some(time))
                 }
                 Files::Brackets { count, stops } => {
                     let times = (0..count).map(|k| f64::from(k * stops).exp2() / full_scale);
-                    bracket(folder, i, picture, read, times, sensor.response)
+                    bracket(folder, i, &picture, read, times, sensor.response)
                 }
             }
         })

@@ -11,6 +11,7 @@ mod error;
 mod files;
 mod lamps;
 mod mesh_errors;
+mod mistake;
 mod object;
 mod recipe;
 mod scene;
@@ -24,7 +25,8 @@ mod truth;
 pub use error::SynthError;
 pub use object::Object;
 pub use recipe::{
-    Encode, Files, GeometryErrors, Lamps, Light, Material, Normals, Places, Recipe, Sensor, Views,
+    Encode, Files, GeometryErrors, Lamps, Light, Material, Mistake, Normals, Places, Recipe,
+    Sensor, Views,
 };
 
 use std::fs;
@@ -41,7 +43,7 @@ use crate::solution::{
     DestinationError, Owned, Staging, cannot_write, check_owned, write_plain_obj, write_rgb,
 };
 use cameras::{Stand, misaligned};
-use files::{Folder, photographs};
+use files::{Folder, Taken, photographs};
 use lamps::TrueLamp;
 use mesh_errors::stated_mesh;
 use scene::{TrueLight, TrueSurface};
@@ -67,6 +69,7 @@ enum Purpose {
     Mesh,
     Sensor,
     Times,
+    Mistake,
 }
 
 /// Hears what is done and which part of the whole is done, and may stop it.
@@ -252,19 +255,30 @@ impl<'a> Maker<'a> {
         let recipe = self.recipe;
         let mesh_random = random(recipe, Purpose::Mesh);
         let true_mesh = &self.surface.mesh;
-        let stated = stated_mesh(recipe.object, true_mesh, &recipe.errors, mesh_random);
+        let mut stated = stated_mesh(recipe.object, true_mesh, &recipe.errors, mesh_random);
+        let mistakes = random(recipe, Purpose::Mistake);
+        if let Some(mistake) = recipe.mistake.filter(|mistake| mistake.spoils_mesh()) {
+            mistake.tear(stated.get_or_insert_with(|| true_mesh.clone()), mistakes);
+        }
         write_plain_obj(&into.join("mesh.obj"), stated.as_ref().unwrap_or(true_mesh))?;
         let exposed = Exposed::new(recipe.sensor, pictures, random(recipe, Purpose::Sensor));
         let rotations = random(recipe, Purpose::Rotations);
-        let turned: Vec<Camera> = self
+        let mut turned: Vec<Camera> = self
             .cameras
             .iter()
             .enumerate()
             .map(|(i, camera)| misaligned(camera, recipe.errors.rotation, rotations.of(i as u64)))
             .collect();
+        if let Some(mistake) = recipe.mistake {
+            mistake.misplace(&mut turned, true_mesh.centre().as_dvec3());
+        }
         let times = random(recipe, Purpose::Times);
         let folder = Folder::new(into, 0, self.light_distance());
-        let frames = photographs(&folder, recipe.sensor, &exposed, pictures, times)?;
+        let mut taken = Taken::new(&exposed, pictures);
+        if let Some(mistake) = recipe.mistake {
+            taken.spoil(mistake, mistakes);
+        }
+        let frames = photographs(&folder, recipe.sensor, &taken, exposed.full_scale, times)?;
         folder.write_manifest(&turned, frames)?;
 
         let truth = into.join("truth");

@@ -29,6 +29,8 @@ pub struct Recipe {
     pub sensor: Sensor,
     /// What is wrong with the geometry that the capture states.
     pub errors: GeometryErrors,
+    /// What else is wrong with the capture.
+    pub mistake: Option<Mistake>,
     /// Whether the truth has pictures from elsewhere and under new light, which take most of the time.
     pub truth_pictures: bool,
     /// Decides everything that is random.
@@ -197,6 +199,38 @@ pub struct GeometryErrors {
     pub normal_noise: f32,
 }
 
+/// One thing that is wrong with a capture and that nothing in it states.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mistake {
+    /// Photographs without alpha, of the object before a background as bright as itself.
+    Background,
+    /// Linear files with sRGB-encoded values.
+    Encoded,
+    /// One view four times as bright.
+    BrighterView,
+    /// One view of another white balance, 5 % in red and blue.
+    WhiteBalance,
+    /// One camera half a degree further round the object than it stood.
+    OrbitedCamera,
+    /// A mesh that lacks a fifth of its triangles.
+    Holes,
+    /// Twenty pixels of each view a thousand times too bright.
+    HotPixels,
+}
+
+impl Mistake {
+    /// All of them.
+    pub const ALL: [Self; 7] = [
+        Self::Background,
+        Self::Encoded,
+        Self::BrighterView,
+        Self::WhiteBalance,
+        Self::OrbitedCamera,
+        Self::Holes,
+        Self::HotPixels,
+    ];
+}
+
 /// Where a mesh's normals come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Normals {
@@ -244,6 +278,7 @@ impl Default for Recipe {
                 normals: Normals::Exact,
                 normal_noise: 0.0,
             },
+            mistake: None,
             truth_pictures: true,
             seed: 1,
         }

@@ -42,6 +42,7 @@ pub(super) fn describe(name: &str, recipe: &Recipe, lamps: &[TrueLamp], centre: 
             "triangles": errors.triangles,
             "normal_noise_deg": errors.normal_noise.to_degrees(),
         },
+        "mistake": recipe.mistake.map(|mistake| mistake.name()),
         "split": "diffuse + specular = noise-free image",
         "alpha": "object coverage of the pixel; RGB is the mean over the pixel with background 0 (premultiplied)",
         "moved": lamps.first().filter(|_| recipe.truth_pictures).map(edit),
