@@ -132,6 +132,18 @@ pub fn is_middling(misfit: &Misfit) -> bool {
     misfit.share > MOST_MISFIT || misfit.correlation > MIDDLING_CORRELATION
 }
 
+/// Whether a suspicion changes what is said of a fit whose σ is known to a part `known`. A view that holds most of a highlight
+/// decides what the others are fitted to, so that they are fitted better without it whether it is right or not: that counts
+/// only where something is left to be explained, or where σ changes by more than its interval allows.
+pub fn is_worth_saying(suspicion: &Suspicion, misfit: &Misfit, known: f32) -> bool {
+    match suspicion.suspect {
+        Suspect::View(_) => {
+            misfit.share > MOST_MISFIT || (suspicion.sigma_ratio - 1.0).abs() > known
+        }
+        _ => true,
+    }
+}
+
 /// What to doubt about a fit that leaves more than noise unexplained.
 pub fn misfit(misfit: &Misfit) -> Option<String> {
     (misfit.share > MOST_MISFIT).then(|| {

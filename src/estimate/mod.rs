@@ -396,12 +396,12 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, fit: Fit, suspicion: Optio
     let sigma = fit.brdf.sigma;
     let half_width = HALF_INTERVAL * fit.sigma_error;
     let mut interval = [sigma - half_width, sigma + half_width];
+    let suspicion =
+        suspicion.filter(|s| diagnose::is_worth_saying(s, &fit.misfit, half_width / sigma));
     if let Some(suspicion) = suspicion {
         // Under the other assumption it would be another.
-        interval = [
-            interval[0].min(suspicion.sigma),
-            interval[1].max(suspicion.sigma),
-        ];
+        let other = suspicion.sigma_ratio * sigma;
+        interval = [interval[0].min(other), interval[1].max(other)];
     }
     let stated = solver.near.map(|(_, radius)| radius);
     // A cause that has a name is said in place of what it leaves.

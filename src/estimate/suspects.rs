@@ -42,8 +42,8 @@ pub struct Suspicion {
     pub suspect: Suspect,
     /// What the changed fit leaves, as a part of what the unchanged one does.
     pub leaves: f64,
-    /// Its roughness, radians.
-    pub sigma: f32,
+    /// Its roughness over the unchanged one's.
+    pub sigma_ratio: f32,
 }
 
 /// Groups of points whose differences are ranked.
@@ -164,7 +164,7 @@ impl Solver<'_> {
                 best = Some(Suspicion {
                     suspect: change.suspect,
                     leaves,
-                    sigma: trial.sigma,
+                    sigma_ratio: trial.sigma / own.sigma,
                 });
             }
         }
@@ -220,7 +220,7 @@ impl Solver<'_> {
         Ok(Some(Suspicion {
             suspect: Suspect::View(odd),
             leaves,
-            sigma: without[odd].1,
+            sigma_ratio: without[odd].1 / fit.brdf.sigma,
         }))
     }
 
