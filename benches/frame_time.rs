@@ -17,13 +17,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow};
 use glam::{DAffine3, DQuat, DVec3, Quat, Vec3};
-use rekindle::capture::{Camera, Capture, read_cameras, unpack_demo};
-use rekindle::estimate::{EstimateParams, Unobserved};
-use rekindle::hemisphere::HemisphereGrid;
-use rekindle::relight::{LampNodes, LightNode, Lighting};
-use rekindle::render::{Background, FrameRequest, Gpu, Mode, Renderer, Surface};
-use rekindle::solution::{Solution, SolveOptions, solve};
-use rekindle::studio::ViewTransform;
+use rekindle_capture::{Camera, Capture, read_cameras, unpack_demo};
+use rekindle_estimate::estimate::{EstimateParams, Unobserved};
+use rekindle_relight::ViewTransform;
+use rekindle_relight::{LampNodes, LightNode, Lighting};
+use rekindle_render::{Background, FrameRequest, Gpu, Mode, Renderer, Surface};
+use rekindle_scene::hemisphere::HemisphereGrid;
+use rekindle_solution::{Solution, SolveOptions, solve};
 
 /// Frames of each measurement.
 const FRAMES: usize = 15;

@@ -11,19 +11,20 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
-use rekindle::capture::{Capture, View, unpack_demo};
-use rekindle::estimate::cells::{Cell, Pyramid};
-use rekindle::estimate::design::{Design, NormalEquations};
-use rekindle::estimate::lobes::CellLobes;
-use rekindle::estimate::observations::{Observations, Sampling, Seen};
-use rekindle::estimate::visibility::SeenCells;
-use rekindle::estimate::workspace::Workspace;
-use rekindle::estimate::{Brdf, Shortcuts, SpecularModel};
-use rekindle::hemisphere::HemisphereGrid;
-use rekindle::math::nnls::{self, NnlsParams};
-use rekindle::math::random::Random;
-use rekindle::relight::{LampNodes, Lighting, Scene, Shader, TriangleShares, texel_irradiance};
-use rekindle::surface::{Atlas, Occluder, ViewSurface, minimum_texture, wanted_density};
+use rekindle_base::math::nnls::{self, NnlsParams};
+use rekindle_base::math::random::Random;
+use rekindle_capture::{Capture, View, unpack_demo};
+use rekindle_estimate::estimate::cells::{Cell, Pyramid};
+use rekindle_estimate::estimate::design::{Design, NormalEquations};
+use rekindle_estimate::estimate::lobes::CellLobes;
+use rekindle_estimate::estimate::observations::{Observations, Sampling, Seen};
+use rekindle_estimate::estimate::visibility::SeenCells;
+use rekindle_estimate::estimate::workspace::Workspace;
+use rekindle_relight::{LampNodes, Lighting, Scene, Shader, TriangleShares, texel_irradiance};
+use rekindle_scene::hemisphere::HemisphereGrid;
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
+use rekindle_scene::shortcuts::Shortcuts;
+use rekindle_scene::surface::{Atlas, Occluder, ViewSurface, minimum_texture, wanted_density};
 
 /// Frequency of the hemisphere, and of its coarsest cells.
 const FREQUENCIES: [u32; 2] = [70, 11];

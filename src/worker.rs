@@ -13,15 +13,18 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
-use crate::align::{Alignment, MarkedPoint, Start, Stop, align};
-use crate::capture::{Camera, Capture, DEMO, PixelCounts, unpack_demo};
-use crate::estimate::{Brdf, Interim, Iteration, Observer, SpecularModel, Stopped};
-use crate::hemisphere::{FromAbove, HemisphereGrid, Picture};
-use crate::preflight::{Report, Thumbnail};
-use crate::relight::{self, Diffuse, Interreflection, Lighting, Scene, Shader, Surroundings};
-use crate::solution::{Solution, SolveOptions, solution_folder, solve};
-use crate::studio::{Document, EXTENSION, Recoverable};
-use crate::surface::{Atlas, Occluder};
+use rekindle_capture::{Camera, Capture, DEMO, PixelCounts, unpack_demo};
+use rekindle_estimate::align::{Alignment, MarkedPoint, Start, Stop, align};
+use rekindle_estimate::estimate::{Interim, Iteration, Observer, Stopped};
+use rekindle_estimate::preflight::{Report, Thumbnail};
+use rekindle_relight::{
+    self as relight, Diffuse, Interreflection, Lighting, Scene, Shader, Surroundings,
+};
+use rekindle_scene::hemisphere::{FromAbove, HemisphereGrid, Picture};
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
+use rekindle_scene::surface::{Atlas, Occluder};
+use rekindle_solution::{Solution, SolveOptions, solution_folder, solve};
+use rekindle_studio::{Document, EXTENSION, Recoverable};
 
 /// Commands that may wait.
 const COMMANDS: usize = 8;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::Arc;
 
-use rekindle::capture::Capture;
+use rekindle_capture::Capture;
 use serde_json::{Value, json};
 
 /// A capture that may be spoilt, in a folder of its own.

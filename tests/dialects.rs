@@ -9,7 +9,7 @@ use std::process::Command;
 
 use glam::{DMat4, DVec2, DVec3};
 use image::{ImageBuffer, Rgba};
-use rekindle::capture::{Camera, Capture, Distortion, Mesh, View};
+use rekindle_capture::{Camera, Capture, Distortion, Mesh, View};
 use serde_json::{Value, json};
 
 const LENS: Distortion = Distortion {

@@ -7,9 +7,9 @@ use std::sync::Arc;
 
 use exr::prelude::{read_first_rgba_layer_from_file, write_rgba_file};
 use glam::{DAffine3, Vec3};
-use rekindle::capture::{Capture, Photograph};
-use rekindle::estimate::{EstimateParams, Unobserved};
-use rekindle::solution::{Solution, SolveOptions, solve};
+use rekindle_capture::{Capture, Photograph};
+use rekindle_estimate::estimate::{EstimateParams, Unobserved};
+use rekindle_solution::{Solution, SolveOptions, solve};
 
 fn folder(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use command::rekindle;
 use glam::DVec3;
-use rekindle::capture::{Capture, View};
+use rekindle_capture::{Capture, View};
 use serde_json::{Value, json};
 
 fn text(path: &Path) -> &str {

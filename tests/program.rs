@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use command::rekindle;
-use rekindle::capture::read_radiance;
+use rekindle_capture::read_radiance;
 use serde_json::{Value, json};
 
 fn capture(name: &str) -> PathBuf {

@@ -11,9 +11,9 @@ use driver::{
 };
 use eframe::egui;
 use egui_kittest::kittest::Queryable as _;
-use rekindle::capture::Capture;
-use rekindle::synth::{Encode, Files, Recipe, make};
 use rekindle::worker::Source;
+use rekindle_capture::Capture;
+use rekindle_lab::synth::{Encode, Files, Recipe, make};
 
 /// Writes the window's picture once it is final.
 fn shoot(window: &mut Window, name: &str) {

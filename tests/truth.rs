@@ -8,10 +8,11 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use command::rekindle;
-use rekindle::capture::Capture;
-use rekindle::estimate::{EstimateParams, Shortcut, Unobserved};
-use rekindle::solution::{Solution, SolutionLamp, SolveOptions, solve};
-use rekindle::synth::{Lamps, Light, Material, Object, Places, Recipe, make};
+use rekindle_capture::Capture;
+use rekindle_estimate::estimate::{EstimateParams, Unobserved};
+use rekindle_lab::synth::{Lamps, Light, Material, Object, Places, Recipe, make};
+use rekindle_scene::shortcuts::Shortcut;
+use rekindle_solution::{Solution, SolutionLamp, SolveOptions, solve};
 
 /// Fails unless the program refuses with status 2 and one line, which is returned.
 fn refused(arguments: &[&str]) -> String {

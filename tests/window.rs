@@ -8,8 +8,8 @@ use driver::{
 };
 use eframe::egui;
 use egui_kittest::kittest::Queryable as _;
-use rekindle::capture::Capture;
 use rekindle::worker::Source;
+use rekindle_capture::Capture;
 
 #[test]
 fn the_demo_is_opened_estimated_paused_and_relit() {

@@ -14,11 +14,12 @@ use super::points::ByPoints;
 use super::settings::Estimation;
 use super::theme::Mark;
 use super::{Request, Shared, exposures, theme};
-use crate::align::{Alignment, MarkedPoint};
-use crate::capture::Capture;
-use crate::estimate::{Method, SpecularModel};
-use crate::preflight::{Finding, Severity, Thumbnail};
 use crate::worker::{OpenedCapture, Source, Worker};
+use rekindle_capture::Capture;
+use rekindle_estimate::align::{Alignment, MarkedPoint};
+use rekindle_estimate::estimate::Method;
+use rekindle_estimate::preflight::{Finding, Severity, Thumbnail};
+use rekindle_scene::reflectance::SpecularModel;
 
 /// Narrowest thumbnail, points.
 const THUMBNAIL: f32 = 210.0;

@@ -10,7 +10,7 @@ use glam::Vec3;
 
 use super::settings::HemisphereExposure;
 use super::theme;
-use crate::hemisphere::{Exposure, Picture, from_above_axes};
+use rekindle_scene::hemisphere::{Exposure, Picture, from_above_axes};
 
 /// A picture of a hemisphere on the graphics card, made anew when picture or exposure change.
 #[derive(Default)]

@@ -12,12 +12,13 @@ use super::disc::{self, Disc, DiscTexture};
 use super::plots::{self, Marks};
 use super::viewport::{Object, Scene, Viewport};
 use super::{Request, Shared, theme};
-use crate::capture::Capture;
-use crate::estimate::{Brdf, Iteration};
-use crate::hemisphere::{HemisphereGrid, Picture};
-use crate::relight::{LampNodes, LightNode, Lighting};
-use crate::solution::Solution;
 use crate::worker::{Progress, Rendered, Step, Subject};
+use rekindle_capture::Capture;
+use rekindle_estimate::estimate::Iteration;
+use rekindle_relight::{LampNodes, LightNode, Lighting};
+use rekindle_scene::hemisphere::{HemisphereGrid, Picture};
+use rekindle_scene::reflectance::Brdf;
+use rekindle_solution::Solution;
 
 /// Frequency of the patches into which the lighting is divided for a quick picture.
 const PATCHES: u32 = 4;

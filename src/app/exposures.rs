@@ -5,7 +5,7 @@ use egui_plot::{HoverPosition, Line, LineStyle, Plot, PlotPoints};
 
 use super::plots::place;
 use super::theme;
-use crate::capture::{Brackets, KNOTS, Origin};
+use rekindle_capture::{Brackets, KNOTS, Origin};
 
 /// Height of a plot, points.
 const HEIGHT: f32 = 104.0;

@@ -32,8 +32,6 @@ use std::sync::Arc;
 use eframe::egui;
 use eframe::egui_wgpu::RenderState;
 
-use crate::align::{Alignment, MarkedPoint};
-use crate::studio::{Document, Recoverable, state_folder};
 use crate::worker::{Command, Event, OpenedCapture, Purpose, Source, Worker};
 use capture_page::CapturePage;
 use commands::{Action, ENTRIES};
@@ -43,6 +41,8 @@ use notices::{Notices, Weight};
 use open_path::OpenPath;
 use palette::{Chosen, CommandPalette};
 use projects::{Answer, Projects, Then};
+use rekindle_estimate::align::{Alignment, MarkedPoint};
+use rekindle_studio::{Document, Recoverable, state_folder};
 use relight::Relighting;
 use settings::Settings;
 

@@ -4,7 +4,7 @@ use eframe::egui::{self, PointerButton, Vec2};
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
-use crate::capture::{Camera, Distortion, Mesh};
+use rekindle_capture::{Camera, Distortion, Mesh};
 
 /// Time in which a movement has mostly come to rest, seconds.
 const DAMPING_S: f64 = 0.07;
@@ -381,8 +381,8 @@ fn angle_between(from: f64, to: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::fixtures::bumpy_sphere;
     use glam::Vec3;
+    use rekindle_scene::surface::fixtures::bumpy_sphere;
 
     fn ball() -> Mesh {
         let mut mesh = bumpy_sphere(12, 0.1);

@@ -11,10 +11,10 @@ use super::history::History;
 use super::points::progress_ui;
 use super::theme::{self, Mark};
 use super::{Request, Shared};
-use crate::align::MarkedPoint;
-use crate::preflight::Report;
-use crate::solution::{manifest_of, write_mesh_transform, write_placed_mesh};
 use crate::worker::{Latest, OpenedCapture, Purpose, Source, Worker};
+use rekindle_estimate::align::MarkedPoint;
+use rekindle_estimate::preflight::Report;
+use rekindle_solution::{manifest_of, write_mesh_transform, write_placed_mesh};
 
 /// Overlap below which an alignment is doubtful.
 const DOUBTFUL: f64 = 0.9;

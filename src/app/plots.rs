@@ -4,8 +4,9 @@ use eframe::egui::{self, RichText};
 use egui_plot::{HoverPosition, Line, LineStyle, Plot, PlotPoint, PlotPoints, Points, Span, VLine};
 
 use super::theme;
-use crate::estimate::{Iteration, SpecularModel};
 use crate::worker::Tried;
+use rekindle_estimate::estimate::Iteration;
+use rekindle_scene::reflectance::SpecularModel;
 
 /// What the plots mark.
 #[derive(Clone, Copy, Default)]

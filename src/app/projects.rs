@@ -9,8 +9,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use eframe::egui::{self, Id};
 
 use super::theme;
-use crate::studio::{Document, Recoverable, Recovery, Saved, Snapshot};
 use crate::worker::{Latest, Source, Worker, message};
+use rekindle_studio::{Document, Recoverable, Recovery, Saved, Snapshot};
 
 /// Seconds after a change until it is kept.
 const KEPT_AFTER_S: f64 = 5.0;

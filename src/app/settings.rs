@@ -6,8 +6,9 @@ use eframe::egui;
 use serde::{Deserialize, Serialize};
 
 use super::navigation::Habit;
-use crate::estimate::{EstimateParams, Method, SpecularChoice, SpecularModel};
-use crate::solution::SolveOptions;
+use rekindle_estimate::estimate::{EstimateParams, Method, SpecularChoice};
+use rekindle_scene::reflectance::SpecularModel;
+use rekindle_solution::SolveOptions;
 
 /// Recent files at most.
 const RECENT: usize = 8;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::commands::{Action, entry_of};
 use super::{Request, Shared, Source, theme};
-use crate::studio::Recoverable;
+use rekindle_studio::Recoverable;
 
 /// The demo, relit, before nothing.
 const PICTURE: &[u8] = include_bytes!("../../assets/app/welcome.png");

@@ -10,12 +10,11 @@ use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::render::check_output;
 use super::{OutputArgs, print_json, print_line};
-use crate::align::{AlignError, Alignment, Similarity, Start, align, read_points};
-use crate::capture::{Capture, input_files};
-use crate::files;
-use crate::solution::{
-    cannot_write, check_overwrites_no_input, manifest_of, write_mesh_transform, write_placed_mesh,
-};
+use rekindle_base::files;
+use rekindle_base::staging::{cannot_write, check_overwrites_no_input};
+use rekindle_capture::{Capture, input_files};
+use rekindle_estimate::align::{AlignError, Alignment, Similarity, Start, align, read_points};
+use rekindle_solution::{manifest_of, write_mesh_transform, write_placed_mesh};
 
 /// Overlap below which the result is not to be trusted.
 const DOUBTFUL: f64 = 0.9;

@@ -8,8 +8,8 @@ use super::progress::Progress;
 use super::render::check_output;
 use super::solve::MethodArg;
 use super::{OutputArgs, json_path, print_json, print_line};
-use crate::bench::{Audience, BenchError, Plan, run as compare};
-use crate::solution::{Staging, cannot_write};
+use rekindle_base::staging::{Staging, cannot_write};
+use rekindle_lab::bench::{Audience, BenchError, Plan, run as compare};
 
 /// Arguments of `rekindle bench`.
 #[derive(clap::Args)]

@@ -10,11 +10,10 @@ use super::progress::Progress;
 use super::render::{Renderer, Shot};
 use super::solve::{EstimationArgs, describe, solve_capture};
 use super::{OutputArgs, print_json, print_line};
-use crate::capture::{Camera, Capture, DEMO, demo_names, unpack_demo};
-use crate::relight::Edit;
-use crate::solution::{
-    DestinationError, Owned, Solution, SolutionError, Staging, cannot_write, check_owned, own_files,
-};
+use rekindle_base::staging::{DestinationError, Owned, Staging, cannot_write, check_owned};
+use rekindle_capture::{Camera, Capture, DEMO, demo_names, unpack_demo};
+use rekindle_relight::Edit;
+use rekindle_solution::{Solution, SolutionError, own_files};
 
 /// Where the demo is written, in the current folder.
 const FOLDER: &str = "rekindle-demo";

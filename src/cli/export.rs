@@ -8,12 +8,12 @@ use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::render::{check_apart, check_output};
 use super::{OutputArgs, json_path, print_json, print_line};
-use crate::capture::read_cameras;
-use crate::interchange::{
+use rekindle_capture::read_cameras;
+use rekindle_output::interchange::{
     Anchor, Form, Job, JobError, MapLayout, Orientation, Source, USUAL_F0, export, reflectance,
 };
-use crate::relight;
-use crate::solution::{Solution, solution_folder};
+use rekindle_relight as relight;
+use rekindle_solution::{Solution, solution_folder};
 
 /// Arguments of `rekindle export`.
 #[derive(clap::Args)]

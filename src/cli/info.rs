@@ -1,10 +1,10 @@
 //! `rekindle info CAPTURE`: what is in a capture and what is wrong with it.
 
 use super::print_report;
-use crate::capture::Capture;
-use crate::preflight::{Finding, MeshReport, Report, Severity, ViewReport};
-use crate::text::printable;
 use anyhow::Context as _;
+use rekindle_base::text::printable;
+use rekindle_capture::Capture;
+use rekindle_estimate::preflight::{Finding, MeshReport, Report, Severity, ViewReport};
 use std::fmt::Write as _;
 use std::path::Path;
 

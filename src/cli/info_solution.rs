@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use super::{OutputArgs, print_json, print_line};
-use crate::solution::Solution;
+use rekindle_solution::Solution;
 
 pub(super) fn run(path: &Path, output: OutputArgs) -> anyhow::Result<()> {
     let solution = Solution::load(path)?;

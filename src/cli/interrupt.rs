@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 
-use crate::estimate::Stopped;
-use crate::solution::abandon_unfinished;
+use rekindle_base::staging::abandon_unfinished;
+use rekindle_estimate::estimate::Stopped;
 
 /// Exit status after Ctrl-C.
 pub(super) const INTERRUPTED: u8 = 130;

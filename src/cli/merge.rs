@@ -11,9 +11,10 @@ use super::interrupt;
 use super::progress::Progress;
 use super::render::check_output;
 use super::{OutputArgs, json_path, print_json, print_line};
-use crate::capture::{Group, KNOTS, MergedPhoto, Origin, Photos, Response};
-use crate::solution::{Staging, cannot_write, check_overwrites_no_input, write_rgb, write_rgba};
-use crate::text::csv_cell;
+use rekindle_base::staging::{Staging, cannot_write, check_overwrites_no_input};
+use rekindle_base::text::csv_cell;
+use rekindle_capture::{Group, KNOTS, MergedPhoto, Origin, Photos, Response};
+use rekindle_solution::{write_rgb, write_rgba};
 
 /// Files that tell how the pictures were merged.
 const REPORTS: [&str; 4] = [

@@ -26,8 +26,8 @@ use clap::{Args, Parser, Subcommand};
 use interrupt::{INTERRUPTED, Interrupted};
 use print::{json_path, print_json, print_line, print_message, print_report};
 
-use crate::memory;
 use crate::worker::message;
+use rekindle_base::memory;
 
 /// Exit status for bad input and usage, as clap's own.
 const BAD_INPUT: u8 = 2;
@@ -158,7 +158,7 @@ fn execute(cli: &Cli) -> anyhow::Result<()> {
         Some(Command::Bench(args)) => bench::run(args, cli.output),
         Some(Command::Study(args)) => study::run(args, cli.output),
         Some(Command::Info { path }) => {
-            let folder = crate::solution::solution_folder(path);
+            let folder = rekindle_solution::solution_folder(path);
             if folder.join("solution.json").is_file() {
                 info_solution::run(folder, cli.output)
             } else {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::text::printable;
+use rekindle_base::text::printable;
 
 /// Prints a command's result as one JSON object.
 pub(super) fn print_json(value: &Value) {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{OutputArgs, print_message};
-use crate::text::printable;
+use rekindle_base::text::printable;
 
 /// Steps of the bar.
 const STEPS: u64 = 1000;

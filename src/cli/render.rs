@@ -9,13 +9,11 @@ use glam::{DVec3, Vec3};
 use super::interrupt;
 use super::progress::Progress;
 use super::{OutputArgs, json_path, print_json, print_line};
-use crate::capture::{Camera, input_files, read_cameras};
-use crate::export::{self, Depth, PngFile, Shown};
-use crate::relight::{self, Edit, Picture};
-use crate::solution::{
-    Solution, Staging, cannot_write, check_overwrites_no_input, own_files, solution_folder,
-    write_rgb, write_rgba,
-};
+use rekindle_base::staging::{Staging, cannot_write, check_overwrites_no_input};
+use rekindle_capture::{Camera, input_files, read_cameras};
+use rekindle_output::export::{self, Depth, PngFile, Shown};
+use rekindle_relight::{self as relight, Edit, Picture};
+use rekindle_solution::{Solution, own_files, solution_folder, write_rgb, write_rgba};
 
 /// Arguments of `rekindle render`.
 #[derive(clap::Args)]

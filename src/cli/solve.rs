@@ -10,14 +10,13 @@ use clap::ValueEnum;
 use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
-use crate::bench::peak;
-use crate::capture::{Capture, input_files};
-use crate::estimate::{
-    EstimateParams, Iteration, Method, Observer, Shortcut, SpecularChoice, SpecularModel,
-};
-use crate::solution::{
-    Solution, SolveOptions, check_destination, check_holds_no_input, origin, solve,
-};
+use rekindle_base::memory::peak;
+use rekindle_base::staging::check_holds_no_input;
+use rekindle_capture::{Capture, input_files};
+use rekindle_estimate::estimate::{EstimateParams, Iteration, Method, Observer, SpecularChoice};
+use rekindle_scene::reflectance::SpecularModel;
+use rekindle_scene::shortcuts::Shortcut;
+use rekindle_solution::{Solution, SolveOptions, check_destination, origin, solve};
 
 /// Frequency of the hemisphere up to which all its nodes can be unknowns at once: 2000 of them.
 const MOST_DENSE: u32 = 20;

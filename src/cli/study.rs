@@ -11,8 +11,8 @@ use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::render::check_output;
 use super::synth::Size;
-use crate::solution::{Staging, cannot_write};
-use crate::study::{ACCURACY, Plan, StudyError, run as study};
+use rekindle_base::staging::{Staging, cannot_write};
+use rekindle_lab::study::{ACCURACY, Plan, StudyError, run as study};
 
 /// Arguments of `rekindle study`.
 #[derive(clap::Args)]

@@ -10,7 +10,7 @@ use clap::ValueEnum;
 use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::{OutputArgs, json_path, print_json, print_line};
-use crate::synth::{
+use rekindle_lab::synth::{
     Encode, Files, GeometryErrors, Lamps, Light, Material, Mistake, Normals, Object, Places,
     Recipe, Sensor, SynthError, Views, check_destination, make,
 };

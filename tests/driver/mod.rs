@@ -12,8 +12,8 @@ use egui_kittest::Harness;
 use egui_kittest::kittest::{NodeT as _, Queryable as _};
 use glam::DVec3;
 use rekindle::app::{App, Start};
-use rekindle::capture::{Capture, View, unpack_demo};
 use rekindle::worker::Source;
+use rekindle_capture::{Capture, View, unpack_demo};
 
 /// Longer than anything here takes on a slow machine.
 const PATIENCE: Duration = Duration::from_mins(4);

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 
 use super::super::history::History;
-use crate::align::{Mark, MarkedPoint, MarksError, Placement};
-use crate::capture::Capture;
+use rekindle_capture::Capture;
+use rekindle_estimate::align::{Mark, MarkedPoint, MarksError, Placement};
 
 /// Points with the one that is selected.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -14,10 +14,10 @@ use super::list::Points;
 use super::marks_ui;
 use crate::app::navigation::{Habit, Navigation};
 use crate::app::theme;
-use crate::capture::{Camera, Capture};
-use crate::hemisphere::srgb;
-use crate::surface::{Barycentrics, NO_TRIANGLE, Occluder, front_most};
 use crate::worker::{Latest, Worker};
+use rekindle_capture::{Camera, Capture};
+use rekindle_scene::hemisphere::srgb;
+use rekindle_scene::surface::{Barycentrics, NO_TRIANGLE, Occluder, front_most};
 
 /// Samples along a pixel of a picture that stands still.
 const SAMPLES: u32 = 2;

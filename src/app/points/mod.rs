@@ -16,11 +16,11 @@ use super::commands::Action;
 use super::estimation::sentence;
 use super::theme::{self, Mark};
 use super::{Request, Shared};
-use crate::align::{MarkedPoint, MarksError};
-use crate::capture::Capture;
 use list::Points;
 use mesh_view::MeshView;
 use photo_view::PhotoView;
+use rekindle_capture::Capture;
+use rekindle_estimate::align::{MarkedPoint, MarksError};
 
 /// Height of the line over a picture and of the strip of photographs, points.
 const HEAD: f32 = 32.0;

@@ -11,12 +11,12 @@ use glam::DVec2;
 use super::Grip;
 use super::list::Points;
 use super::marks_ui;
-use crate::align::Similarity;
 use crate::app::theme;
-use crate::capture::{Camera, Capture};
-use crate::preflight::outline;
-use crate::surface::Occluder;
 use crate::worker::{Latest, Worker};
+use rekindle_capture::{Camera, Capture};
+use rekindle_estimate::align::Similarity;
+use rekindle_estimate::preflight::outline;
+use rekindle_scene::surface::Occluder;
 
 /// Largest magnification.
 const MOST: f32 = 16.0;

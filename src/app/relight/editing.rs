@@ -3,8 +3,8 @@
 use eframe::egui::{self, Color32};
 use glam::Vec3;
 
-use crate::hemisphere::srgb;
-use crate::studio::{Baseline, Document, Lamp, LampId, Look, Place, State};
+use rekindle_scene::hemisphere::srgb;
+use rekindle_studio::{Baseline, Document, Lamp, LampId, Look, Place, State};
 
 /// What the parts of the page share besides the document.
 #[derive(Default)]

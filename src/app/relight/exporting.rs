@@ -7,14 +7,15 @@ use eframe::egui;
 
 use super::handles::Seen;
 use crate::app::theme;
-use crate::capture::Camera;
-use crate::export::{
+use crate::worker::Command;
+use rekindle_capture::Camera;
+use rekindle_output::export::{
     Depth, ExportError, Job, MAX_ANIMATION_SIDE, MAX_SIDE, Renderer, Shot, export, lamp_circle,
     turntable, with_size,
 };
-use crate::solution::Solution;
-use crate::studio::{Document, LampId, ViewTransform};
-use crate::worker::Command;
+use rekindle_relight::ViewTransform;
+use rekindle_solution::Solution;
+use rekindle_studio::{Document, LampId};
 
 /// From where pictures are taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -5,8 +5,8 @@ use glam::{DVec2, DVec3, Vec3};
 
 use super::editing::{Editing, hue, with_lamp};
 use super::hemisphere::{MarkStyle, draw_mark, grab};
-use crate::capture::Camera;
-use crate::studio::{Document, Lamp, LampId};
+use rekindle_capture::Camera;
+use rekindle_studio::{Document, Lamp, LampId};
 
 /// Radius of the handles' sphere in radii of the object.
 const REACH: f64 = 1.3;
@@ -206,7 +206,7 @@ impl Handles {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::fixtures::camera;
+    use rekindle_scene::surface::fixtures::camera;
 
     #[test]
     fn a_handle_follows_the_pointer_on_its_side() {

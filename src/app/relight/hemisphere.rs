@@ -8,9 +8,9 @@ use glam::{Quat, Vec3};
 use super::editing::{Editing, hue, with_lamp};
 use crate::app::Shared;
 use crate::app::disc::{self, Disc, DiscTexture};
-use crate::hemisphere::{FromAbove, HemisphereGrid, Picture, from_above_axes};
-use crate::relight::{LampNodes, LightNode, Lighting};
-use crate::studio::{Document, Lamp};
+use rekindle_relight::{LampNodes, LightNode, Lighting};
+use rekindle_scene::hemisphere::{FromAbove, HemisphereGrid, Picture, from_above_axes};
+use rekindle_studio::{Document, Lamp};
 
 /// Side of the picture in pixels.
 const SIDE: u32 = 192;
@@ -246,7 +246,7 @@ fn on_grid(grid: &HemisphereGrid, lighting: &Lighting) -> Vec<[f32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::studio::fixtures::solution;
+    use rekindle_studio::fixtures::solution;
 
     #[test]
     fn the_disc_shows_all_light_above_the_horizon() {

@@ -5,10 +5,10 @@ use glam::{Quat, Vec3};
 
 use super::editing::{Editing, hue, undoable, with_lamp};
 use crate::app::theme;
-use crate::hemisphere::from_above_axes;
-use crate::studio::{
-    ANGULAR_RADIUS, Baseline, Colour, Document, KELVIN, Lamp, LampId, MAX_STOPS, Origin,
-    black_body, luminance,
+use rekindle_relight::luminance;
+use rekindle_scene::hemisphere::from_above_axes;
+use rekindle_studio::{
+    ANGULAR_RADIUS, Baseline, Colour, Document, KELVIN, Lamp, LampId, MAX_STOPS, Origin, black_body,
 };
 
 /// Intensities that the slider reaches; more can be typed.

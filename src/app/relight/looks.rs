@@ -4,7 +4,7 @@ use eframe::egui;
 
 use super::editing::Editing;
 use crate::app::theme;
-use crate::studio::{Document, State};
+use rekindle_studio::{Document, State};
 
 /// Shows the strip.
 pub(super) fn show(ui: &mut egui::Ui, document: &mut Document, editing: &mut Editing) {

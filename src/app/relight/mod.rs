@@ -25,10 +25,6 @@ use eframe::egui;
 use super::commands::Action;
 use super::viewport::{Object, Scene, Viewport};
 use super::{Shared, theme};
-use crate::capture::{Camera, Capture};
-use crate::hemisphere::FromAbove;
-use crate::registration::corrected;
-use crate::studio::{Document, Place};
 use crate::worker::{Command, Latest, Purpose, Rendered, Subject, Worker};
 use editing::Editing;
 use exporting::{Answer, Question, Screen};
@@ -36,6 +32,10 @@ use handles::{Handles, Seen};
 use hemisphere::LitDisc;
 use pointing::Pointing;
 use programs::Programs;
+use rekindle_capture::{Camera, Capture};
+use rekindle_estimate::registration::corrected;
+use rekindle_scene::hemisphere::FromAbove;
+use rekindle_studio::{Document, Place};
 use surroundings::Probes;
 
 /// A question about exports.

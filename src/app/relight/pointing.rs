@@ -2,8 +2,9 @@
 
 use super::editing::{Editing, with_lamp};
 use crate::app::viewport::Viewport;
-use crate::studio::{Document, LampId, Place, highlight_shares, luminance, place};
 use eframe::egui::{self, Pos2};
+use rekindle_relight::luminance;
+use rekindle_studio::{Document, LampId, Place, highlight_shares, place};
 
 /// A highlight is one from this part of the radiance that is shown as white.
 const VISIBLE: f32 = 0.04;

@@ -8,15 +8,15 @@ use eframe::egui;
 
 use super::exporting::{Answer, buttons};
 use crate::app::theme;
-use crate::capture::Camera;
-use crate::interchange::{
+use crate::worker::Command;
+use rekindle_capture::Camera;
+use rekindle_output::interchange::{
     Anchor, Form, Job, JobError, MapLayout, Orientation, Source, USUAL_F0, export, reflectance,
     refractive_index,
 };
-use crate::relight::Lighting;
-use crate::solution::Solution;
-use crate::studio::Document;
-use crate::worker::Command;
+use rekindle_relight::Lighting;
+use rekindle_solution::Solution;
+use rekindle_studio::Document;
 
 /// What can be chosen, with its name and what it is.
 const FORMS: [(Form, &str, &str); 8] = [

@@ -8,8 +8,8 @@ use eframe::egui;
 use super::editing::undoable;
 use super::lamps::{LABELS, fit_sliders};
 use crate::app::{Shared, theme};
-use crate::studio::{Document, Probe, ProbeLight};
 use crate::worker::{Latest, Purpose};
+use rekindle_studio::{Document, Probe, ProbeLight};
 
 /// A light probe being read.
 #[derive(Default)]

@@ -9,9 +9,9 @@ use egui_kittest::kittest::Queryable as _;
 use glam::Vec3;
 
 use crate::app::{App, Start};
-use crate::studio::fixtures::solution;
-use crate::studio::{Document, LampId};
 use crate::worker::Source;
+use rekindle_studio::fixtures::solution;
+use rekindle_studio::{Document, LampId};
 
 /// Longer than anything here takes on a slow machine.
 const PATIENCE: Duration = Duration::from_mins(2);
@@ -133,7 +133,7 @@ fn saved_solution(folder: &Path) -> PathBuf {
     place
 }
 
-fn lamp(window: &Window, id: u32) -> crate::studio::Lamp {
+fn lamp(window: &Window, id: u32) -> rekindle_studio::Lamp {
     document(window)
         .look()
         .lamp(LampId(id))
@@ -304,7 +304,7 @@ fn a_light_probe_replaces_the_light_and_can_be_turned() {
             }
         })
         .collect();
-    crate::solution::write_rgb(&probe, 64, &pixels).expect("written");
+    rekindle_solution::write_rgb(&probe, 64, &pixels).expect("written");
     let mut window = window(&saved_solution(folder.path()));
     click(&mut window, "Choose…");
     give_path(&mut window, &probe);

@@ -10,9 +10,9 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::display::{Display, Linear, mix};
-use crate::capture::{Camera, Capture};
-use crate::relight;
-use crate::studio::turbo;
+use rekindle_capture::{Camera, Capture};
+use rekindle_relight as relight;
+use rekindle_relight::turbo;
 
 /// Longest side of the compared pictures, pixels.
 const LONGEST: u32 = 1200;
@@ -336,7 +336,7 @@ mod tests {
         let display = Display {
             exposure: 0.0,
             white: 1.0,
-            transform: crate::studio::ViewTransform::Srgb,
+            transform: rekindle_relight::ViewTransform::Srgb,
             background: Color32::BLACK,
         };
         let same = difference(&picture(0.3), &picture(0.3), &display);

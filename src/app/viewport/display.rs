@@ -4,9 +4,9 @@ use eframe::egui::{Color32, ColorImage};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::capture::Photograph;
-use crate::relight;
-use crate::studio::ViewTransform;
+use rekindle_capture::Photograph;
+use rekindle_relight as relight;
+use rekindle_relight::ViewTransform;
 
 /// A picture of linear radiance.
 #[derive(Clone, Debug)]

@@ -8,10 +8,10 @@ use eframe::wgpu;
 use glam::Vec3;
 
 use super::display::Linear;
-use crate::relight::Lighting;
-use crate::render::{FrameRequest, Gpu, PendingImage, RenderError, Renderer, Surface};
-use crate::solution::Solution;
 use crate::worker::{Latest, Worker};
+use rekindle_relight::Lighting;
+use rekindle_render::{FrameRequest, Gpu, PendingImage, RenderError, Renderer, Surface};
+use rekindle_solution::Solution;
 
 /// A solution on the graphics card.
 pub struct GpuPicture {

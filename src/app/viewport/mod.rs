@@ -16,18 +16,18 @@ use serde::{Deserialize, Serialize};
 use super::commands::Action;
 use super::navigation::{Habit, Navigation, Place};
 use super::theme;
-use crate::capture::{Camera, Capture, Mesh};
-use crate::relight::{Lighting, ShadingPoint};
-use crate::render::{Background, FrameRequest, Mode, RenderError};
-use crate::solution::Solution;
-use crate::studio::{ViewTransform, luminance};
-use crate::surface::Occluder;
 use crate::worker::{Latest, Rendered, Shot, Subject, Worker};
 use compare::{Compare, Kind};
 use display::{Display, Linear};
 use eframe::egui_wgpu::RenderState;
 use gpu::GpuPicture;
 use histogram::Histogram;
+use rekindle_capture::{Camera, Capture, Mesh};
+use rekindle_relight::{Lighting, ShadingPoint};
+use rekindle_relight::{ViewTransform, luminance};
+use rekindle_render::{Background, FrameRequest, Mode, RenderError};
+use rekindle_scene::surface::Occluder;
+use rekindle_solution::Solution;
 
 /// Longest side of a picture of the reference renderer, pixels.
 const LONGEST: f32 = 400.0;

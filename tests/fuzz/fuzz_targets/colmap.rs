@@ -5,7 +5,7 @@
 use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
-use rekindle::capture::read_cameras;
+use rekindle_capture::read_cameras;
 use rekindle_fuzz::Folder;
 
 /// Each kind of model with its files.

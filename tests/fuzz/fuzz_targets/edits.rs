@@ -5,7 +5,7 @@
 use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
-use rekindle::relight::{apply, load};
+use rekindle_relight::{apply, load};
 use rekindle_fuzz::{Folder, solution};
 
 static FOLDER: LazyLock<Folder> = LazyLock::new(Folder::capture);

@@ -5,7 +5,7 @@
 use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
-use rekindle::capture::Photos;
+use rekindle_capture::Photos;
 use rekindle_fuzz::Folder;
 
 static FOLDER: LazyLock<Folder> = LazyLock::new(|| {

@@ -5,7 +5,7 @@
 use std::sync::{Arc, LazyLock};
 
 use libfuzzer_sys::fuzz_target;
-use rekindle::studio::Document;
+use rekindle_studio::Document;
 use rekindle_fuzz::{Folder, keep_seeds, solution};
 
 static FOLDER: LazyLock<Folder> = LazyLock::new(Folder::new);

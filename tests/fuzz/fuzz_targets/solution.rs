@@ -5,7 +5,7 @@
 use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
-use rekindle::solution::Solution;
+use rekindle_solution::Solution;
 use rekindle_fuzz::{Folder, keep_seeds, solution};
 
 /// Files by what they hold; pictures of colours and of confidence are read by different code.

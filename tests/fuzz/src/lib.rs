@@ -6,11 +6,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::{env, fs, process};
 
 use glam::{DAffine3, DVec2, DVec3, Vec2, Vec3};
-use rekindle::capture::{Camera, Capture, Distortion, Mesh};
-use rekindle::estimate::{Brdf, Diagnostics, Method, SpecularModel};
-use rekindle::hemisphere::HemisphereGrid;
-use rekindle::solution::{Fit, Skipped, Solution, SolutionLamp};
-use rekindle::surface::Atlas;
+use rekindle_capture::{Camera, Capture, Distortion, Mesh};
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
+use rekindle_estimate::estimate::{Diagnostics, Method};
+use rekindle_scene::hemisphere::HemisphereGrid;
+use rekindle_solution::{Fit, Skipped, Solution, SolutionLamp};
+use rekindle_scene::surface::Atlas;
 
 /// Memory that no file of a few kilobytes may make a reader ask for, in bytes: what a picture takes that is nothing but white.
 const LIMIT: usize = 4 << 30;

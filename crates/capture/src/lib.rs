@@ -1,0 +1,97 @@
+//! What was measured: the photographs, their cameras and the mesh, read from a capture folder.
+
+mod brackets;
+mod camera;
+mod clipping;
+mod colmap;
+mod demo;
+mod error;
+mod fingerprint;
+mod gltf;
+mod isolated;
+mod load;
+mod manifest;
+mod mesh;
+mod mesh_file;
+mod needs;
+mod obj;
+mod picture;
+mod ply;
+mod polygon;
+#[cfg(test)]
+mod programs;
+mod reality_capture;
+mod sfm_data;
+#[cfg(test)]
+mod tests;
+mod write_cameras;
+
+pub use brackets::{
+    Brackets, ExposureUse, Group, KNOTS, MergedPhoto, Origin, Photo, Photos, Response, Settings,
+    Shot,
+};
+pub use camera::{Camera, Distortion};
+pub use demo::{DEMO, demo_names, unpack_demo};
+pub use error::CaptureError;
+pub use load::{Covered, PixelCounts, input_files, read_cameras, read_covered, read_radiance};
+pub use mesh::{Mesh, SurfacePoint};
+pub use mesh_file::origin_near;
+pub use picture::exr_problem;
+pub use write_cameras::{camera_matrix, transforms};
+
+use std::sync::Arc;
+
+use glam::DVec3;
+
+/// One photograph as linear radiance.
+#[derive(Clone, Debug)]
+pub struct Photograph {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Mean linear radiance over each pixel's area before a black background, RGB, row by row from the top:
+    /// premultiplied by coverage. Finite everywhere: unusable pixels hold zero.
+    pub radiance: Vec<[f32; 3]>,
+    /// Coverage of each pixel by the object in [0, 1], if the file or a mask states it.
+    pub coverage: Option<Vec<f32>>,
+    /// Whether each pixel is data: finite, not saturated, not masked out.
+    pub usable: Vec<bool>,
+}
+
+/// One photograph with its camera.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// File path as the manifest has it.
+    pub name: String,
+    /// Where it was taken from; same size as the photograph.
+    pub camera: Camera,
+    /// What was measured.
+    pub photograph: Arc<Photograph>,
+}
+
+/// The hemisphere on which the lights are sought.
+#[derive(Clone, Copy, Debug)]
+pub struct LightHemisphere {
+    /// Unit vector towards its pole.
+    pub up: DVec3,
+    /// Radius in mesh units about the object's centre, `None` for distant light.
+    pub radius: Option<f64>,
+}
+
+/// Everything measured of one object.
+#[derive(Clone, Debug)]
+pub struct Capture {
+    /// The capture's name: its folder's.
+    pub name: String,
+    /// At least one view.
+    pub views: Vec<View>,
+    /// The surface, in the cameras' world frame.
+    pub mesh: Mesh,
+    /// Where lights are sought.
+    pub light_hemisphere: LightHemisphere,
+    /// How photographs of several exposures were merged, if there are any.
+    pub brackets: Option<Brackets>,
+    /// What a user should know of the input, in whole sentences.
+    pub warnings: Vec<String>,
+}

@@ -1,0 +1,258 @@
+//! When the data can't say: no separation, no specular part, nothing that determines it.
+
+use super::fast::{CoarseFit, Fit};
+use super::misfit::Misfit;
+use super::observations::{Observations, Seen};
+use super::relief::RefinedSurface;
+use super::state::State;
+use super::suspects::{Suspect, Suspicion, determines_roughness};
+use super::weights::median;
+use rekindle_capture::{Capture, View};
+
+/// Fewer surface points seen by two views than this are no basis for an estimate.
+const FEWEST_POINTS: usize = 60;
+
+/// Gain in the squared residual per lit cell, over the noise's, below which lights are fitted to noise.
+const LEAST_SIGNIFICANCE: f64 = 8.0;
+
+/// Share of the squared differences between views that lights must explain.
+pub const LEAST_EXPLAINED: f64 = 0.15;
+
+/// Relative standard error of σ past which it counts as undetermined.
+const LARGEST_RELATIVE_ERROR: f32 = 0.3;
+
+/// Part of the differences between views that a coarse fit leaves where the mesh is too coarse: sound captures leave up to
+/// 0.14, those with the normals of a mesh decimated tenfold 0.6.
+const MOST_UNEXPLAINED: f64 = 0.35;
+
+/// Misfit past which a fit is doubted. Sound path-traced captures have none at all; normals off by 0.7° have 0.024, and σ is
+/// then 2 % off.
+const MOST_MISFIT: f64 = 0.02;
+/// Correlation of neighbouring residuals, or misfit, from which what is wrong is looked for, which costs time: sound captures
+/// without interreflection have up to 0.07, those with a cause to be named 0.14 and more.
+const MIDDLING_CORRELATION: f64 = 0.1;
+
+/// Part of the misfit that turned normals have to explain for them to be named as its cause.
+const MOSTLY: f64 = 0.5;
+
+/// Part of what a coarse fit leaves on the capture's mesh that it may leave on a refined one for that to be used.
+const LEFT_ON_A_BETTER_SURFACE: f64 = 0.6;
+
+/// A lobe whose σ is below this part of the turn from pixel to pixel is not resolved: most of it is within one pixel.
+const LEAST_RESOLVED: f32 = 1.0;
+/// Pixels of a view whose turn is looked at, about.
+const TURNS_PER_VIEW: usize = 20_000;
+
+/// A lobe wider than this, in radians, is no highlight: it spans most of the hemisphere.
+const WIDEST_LOBE: f32 = 0.5;
+
+/// Light that fills more than this solid angle, in steradians, is broad: a disc of 32° radius does.
+const BROAD_LIGHT: f64 = 1.0;
+
+/// Gain of the best of the roughnesses over the broadest below which none of them stands out.
+const LEAST_SHARPNESS: f64 = 0.05;
+
+/// What is said where no specular part is found.
+pub const NO_SPECULAR: &str = "No specular part was found: no lights explain how the views differ. Either the object is purely diffuse, \
+    or its highlights are smaller than a pixel or clipped, or the cameras are off by more than a highlight is wide. Everything is \
+    taken as diffuse; without highlights the lighting can't be recovered.";
+
+/// Why diffuse and specular parts can't be told apart in this capture, if they can't.
+pub fn unseparable(capture: &Capture, observations: &Observations) -> Option<String> {
+    let common = observations.points.len();
+    if capture.views.len() == 1 {
+        return Some(
+            "There is a single view: nothing tells a highlight from the texture. The whole image is taken as \
+             diffuse. Add views from other directions."
+                .to_owned(),
+        );
+    }
+    (common < FEWEST_POINTS).then(|| {
+        format!(
+            "Only {common} sampled surface points are seen clearly by two views or more: highlights can't be told \
+             from the texture. Everything is taken as diffuse. Add views that overlap, or check that the mesh and \
+             the cameras share one frame."
+        )
+    })
+}
+
+/// Why the differences between views are no highlights, if they aren't.
+pub fn no_specular(state: &State<'_>) -> Option<String> {
+    let rows = state.residuals.values.len() as f64;
+    let lit = state
+        .radiance
+        .iter()
+        .filter(|l| l.iter().any(|&v| v > 0.0))
+        .count() as f64;
+    let (dark, left) = (state.dark_objective(), state.objective());
+    let explained = 1.0 - left / dark.max(f64::MIN_POSITIVE);
+    let significance = (dark - left) / lit.max(1.0) / (left / rows).max(f64::MIN_POSITIVE);
+    (lit == 0.0 || explained < LEAST_EXPLAINED || significance < LEAST_SIGNIFICANCE)
+        .then(|| NO_SPECULAR.to_owned())
+}
+
+/// What is said where the user wanted the result before it had settled.
+pub const ENDED_EARLY: &str =
+    "The estimation was ended before it had settled: roughness and lights are preliminary.";
+
+/// What is said where the light has no detail.
+const NO_DETAIL: &str = "The lighting has no detail sharp enough to tell its own blur from the surface's roughness, as under a uniform \
+    sky. Everything is taken as diffuse; add a lamp or photograph under light with an edge.";
+
+/// Why a coarse fit's lobe is no highlight, if it isn't: any other would do about as well, or it spans the hemisphere.
+pub fn not_sharp(coarse: &CoarseFit<'_>) -> Option<String> {
+    let broad = coarse.state.brdf.sigma > WIDEST_LOBE;
+    let open = || coarse.state.light_extent() > BROAD_LIGHT && !determines_roughness(&coarse.state);
+    (broad || coarse.sharpness < LEAST_SHARPNESS || open()).then(|| NO_DETAIL.to_owned())
+}
+
+/// Whether a coarse fit leaves so much that the normals are probably off by more than a highlight is wide: sound captures
+/// leave up to 0.14, meshes decimated tenfold 0.62 and more.
+pub fn surface_too_coarse(state: &State<'_>) -> bool {
+    state.unexplained_share() > MOST_UNEXPLAINED
+}
+
+/// Whether the second of two coarse fits, on a refined surface, explains much more than the first, on the capture's mesh.
+pub fn is_better_surface(mesh: &State<'_>, refined: &State<'_>) -> bool {
+    refined.unexplained_share() < LEFT_ON_A_BETTER_SURFACE * mesh.unexplained_share()
+}
+
+/// What is said where the surface was refined.
+pub fn refined(surface: &RefinedSurface) -> String {
+    format!(
+        "The mesh is too coarse for the highlights. A smooth surface through it was refined by them, which turned the normals \
+         by {:.1}° in the median; the solution holds this surface. A finer mesh, or one with the object's normals, gives better \
+         results.",
+        surface.median_tilt.to_degrees()
+    )
+}
+
+/// Whether a fit leaves so much that is no noise that what is wrong should be looked for.
+pub fn is_middling(misfit: &Misfit) -> bool {
+    misfit.share > MOST_MISFIT || misfit.correlation > MIDDLING_CORRELATION
+}
+
+/// Whether a suspicion changes what is said of a fit whose σ is known to a part `known`. A view that holds most of a highlight
+/// decides what the others are fitted to, so that they are fitted better without it whether it is right or not: that counts
+/// only where something is left to be explained, or where σ changes by more than its interval allows.
+pub fn is_worth_saying(suspicion: &Suspicion, misfit: &Misfit, known: f32) -> bool {
+    match suspicion.suspect {
+        Suspect::View(_) => {
+            misfit.share > MOST_MISFIT || (suspicion.sigma_ratio - 1.0).abs() > known
+        }
+        _ => true,
+    }
+}
+
+/// What to doubt about a fit that leaves more than noise unexplained.
+pub fn misfit(misfit: &Misfit) -> Option<String> {
+    (misfit.share > MOST_MISFIT).then(|| {
+        let share = 100.0 * misfit.share;
+        let tilt = &misfit.tilt;
+        let cause = if tilt.explained > MOSTLY {
+            ", so they are probably off. Use a mesh with the object's normals, or a smoother one."
+        } else {
+            "; the rest may be gloss that changes from place to place or is of another form, or cameras that are off."
+        };
+        format!(
+            "Roughness and lights leave {share:.0} % of the differences between views unexplained, beyond the noise, and are \
+             not to be trusted. Normals turned by about {:.1}° would explain {:.0} % of that{cause}",
+            tilt.angle.to_degrees(),
+            100.0 * tilt.explained
+        )
+    })
+}
+
+/// What to doubt where a changed assumption explains the photographs, which are `views`, better; `stated` is the distance of
+/// the lights that was stated.
+pub fn suspicion(suspicion: &Suspicion, stated: Option<f32>, views: &[View]) -> String {
+    let (explanation, remedy) = match suspicion.suspect {
+        Suspect::Distant => (
+            format!(
+                "Distant lights explain the photographs better than lights at the stated distance of {}",
+                stated.unwrap_or(0.0)
+            ),
+            "Leave the lights' radius out, or correct it.".to_owned(),
+        ),
+        Suspect::Near(radius) => (
+            match stated {
+                Some(stated) => format!(
+                    "Lights at a distance of about {radius:.3} explain the photographs better than at the stated {stated}"
+                ),
+                None => format!(
+                    "Lights at a distance of about {radius:.3} explain the photographs better than distant ones"
+                ),
+            },
+            "Measure the lights' distance from the object's centre and state it as the radius.".to_owned(),
+        ),
+        Suspect::Encoded => (
+            "The pictures' values are probably not linear: decoded as a display's, they are explained better".to_owned(),
+            "Save the pictures with linear values, without a curve or view transform.".to_owned(),
+        ),
+        Suspect::Decoded => (
+            "The pictures' values are probably not linear: it is as if a display's curve had been taken off twice".to_owned(),
+            "Save the pictures with linear values.".to_owned(),
+        ),
+        Suspect::View(odd) => (
+            format!(
+                "The view {} contradicts the others, which are explained better without it",
+                views.get(odd).map_or("", |view| view.name.as_str())
+            ),
+            "Check its camera, its focus, and whether the light was the same; or leave it out.".to_owned(),
+        ),
+        Suspect::LongTails => (
+            "The highlights fall off more slowly than either specular model, as those of a GGX surface do".to_owned(),
+            "Dim lights beside bright ones are probably not there, and their flux belongs to these.".to_owned(),
+        ),
+    };
+    // What the other views leave is told apart by ranks; its sum says little.
+    let by = match suspicion.suspect {
+        Suspect::View(_) => String::new(),
+        _ => format!(
+            " (a first look leaves {:.0} % of what it leaves otherwise)",
+            100.0 * suspicion.leaves
+        ),
+    };
+    format!("{explanation}{by}. Roughness and lights are not to be trusted. {remedy}")
+}
+
+/// What to doubt about a lobe that is narrower than the normals that one pixel shows: pixels average the highlight away, and
+/// no one shows how bright or how wide it is.
+pub fn unresolved(seen: &Seen<'_>, fit: &Fit) -> Option<String> {
+    let turn = turn_per_pixel(seen);
+    (fit.brdf.sigma < LEAST_RESOLVED * turn).then(|| {
+        format!(
+            "The highlights are narrower than the pictures resolve: from one pixel to the next the surface turns by {:.1}°, and \
+             the lobe's roughness comes out as {:.1}°. Roughness and lights are not to be trusted. Use larger pictures, or \
+             come closer.",
+            turn.to_degrees(),
+            fit.brdf.sigma.to_degrees()
+        )
+    })
+}
+
+/// Median angle between the normals of neighbouring pixels inside the object, radians.
+fn turn_per_pixel(seen: &Seen<'_>) -> f32 {
+    let mut turns = Vec::new();
+    for (view, surface) in seen.views.iter().zip(seen.surfaces) {
+        // An odd step falls on all columns in turn.
+        let step = surface.interior.len().div_ceil(TURNS_PER_VIEW) | 1;
+        for i in (0..surface.interior.len().saturating_sub(1)).step_by(step) {
+            let (x, y) = (i as u32 % surface.width, i as u32 / surface.width);
+            if x + 1 == surface.width || !surface.interior[i] || !surface.interior[i + 1] {
+                continue;
+            }
+            let normal = |x| Some(surface.point(seen.mesh, &view.camera, x, y)?.normal);
+            if let (Some(here), Some(next)) = (normal(x), normal(x + 1)) {
+                turns.push(here.angle_between(next));
+            }
+        }
+    }
+    median(&mut turns)
+}
+
+/// Why roughness and lighting are not determined by a fit, if they aren't.
+pub fn undetermined(fit: &Fit) -> Option<String> {
+    let relative = fit.sigma_error / fit.brdf.sigma;
+    (!relative.is_finite() || relative > LARGEST_RELATIVE_ERROR).then(|| NO_DETAIL.to_owned())
+}

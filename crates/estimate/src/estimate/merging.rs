@@ -1,0 +1,307 @@
+//! Which of the lamps that spikes fall into are one?
+//!
+//! Non-negative least squares gives a lamp about as wide as the lobe as a ring of spikes, with gaps that a person would
+//! take for the space between lamps. Only the data can tell: for lamps nearer to each other than the lobe's width two
+//! lights are compared, the uniform ellipse that fits best, and one for each of them with its flux, centroid and second
+//! moments. The one leaves more than the several where lamps do lie apart, and hardly more or less where they are parts of
+//! one lamp.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::Ordering;
+
+use faer::linalg::solvers::Solve;
+use faer::{Col, Mat, Side};
+use glam::{DVec3, Vec3};
+
+use super::cells::Cell;
+use super::design::Design;
+use super::ellipse::{Ellipse, PARAMETERS};
+use super::fast::Solver;
+use super::observations::Observations;
+use super::state::State;
+use rekindle_base::math::groups::linked_groups;
+use rekindle_scene::hemisphere::{Lamp, find_lamps};
+
+/// Parts of lamps with a larger radius, in widths of the lobe, show the lamp's own shape and not an ellipse.
+const WIDEST: f32 = 2.0;
+/// Over what the spikes leave, a round disc may leave so many times as much as several ellipses do, and a longish one less, as
+/// two lamps look like a long one: of discs of 5 to 15° radius it was 0.2 to 5.5 times as much, of two narrow lamps 6 to 12°
+/// apart 19 times and more, and down to 3.9 times among twelve. …
+const MOST_RATIO: f64 = 7.0;
+/// … And one may leave so many times the noise's variance more, for each ellipse less.
+const MOST_NOISE: f64 = 20.0;
+
+/// Room around an ellipse in which it may move and grow, in radii.
+const REACH: f32 = 0.4;
+/// Rounds in which it is fitted.
+const ROUNDS: usize = 5;
+/// A round that leaves more than this part of what was left before is the last.
+const SETTLED: f64 = 0.98;
+/// Differences for its derivatives, in widths of a node.
+const DIFFERENCE: f32 = 0.25;
+
+/// What lamps are judged by.
+struct Judge<'a> {
+    solver: &'a Solver<'a>,
+    /// The final fit.
+    state: &'a State<'a>,
+    observations: &'a Observations,
+    /// Its radiance on the nodes.
+    nodes: &'a [[f32; 3]],
+}
+
+/// Radiances on the nodes with every lamp that spikes take apart as one uniform ellipse.
+pub fn merge_lamps(
+    solver: &Solver<'_>,
+    state: &State<'_>,
+    observations: &Observations,
+) -> Vec<[f32; 3]> {
+    let mut nodes = solver.pyramid.to_nodes(&state.cells, &state.radiance);
+    let judge = Judge {
+        solver,
+        state,
+        observations,
+        nodes: &nodes,
+    };
+    let width = state.lobe_width();
+    let near = |a: &Lamp, b: &Lamp| judge.gap(a, b) < width;
+    let groups = linked_groups(find_lamps(solver.grid, &nodes), near);
+    let mut merged = Vec::new();
+    for group in groups {
+        judge.merge(&group, &mut merged);
+    }
+    for &node in merged.iter().flat_map(|one| &one.lamp.nodes) {
+        nodes[node as usize] = [0.0; 3];
+    }
+    for one in &merged {
+        one.ellipse.add_to(&mut nodes, solver.grid);
+    }
+    nodes
+}
+
+/// A lamp that spikes had taken apart.
+struct Merged {
+    /// The spikes.
+    lamp: Lamp,
+    /// What is put in their place.
+    ellipse: Ellipse,
+}
+
+/// Radiance of some nodes.
+type Light = BTreeMap<u32, Vec3>;
+
+fn light(nodes: impl IntoIterator<Item = (usize, [f32; 3])>) -> Light {
+    let mut light = Light::new();
+    for (node, radiance) in nodes {
+        *light.entry(node as u32).or_default() += Vec3::from(radiance);
+    }
+    light
+}
+
+impl Judge<'_> {
+    fn is_stopped(&self) -> bool {
+        self.solver.stop.load(Ordering::Relaxed)
+    }
+
+    /// Angle between the nearest nodes of two lamps, radians.
+    fn gap(&self, a: &Lamp, b: &Lamp) -> f32 {
+        let direction = |&node: &u32| self.solver.grid.directions[node as usize];
+        let squared = a.nodes.iter().map(direction).flat_map(|d| {
+            let to = move |e: Vec3| d.distance_squared(e);
+            b.nodes.iter().map(direction).map(to)
+        });
+        squared.fold(f32::INFINITY, f32::min).sqrt()
+    }
+
+    /// Puts together what is one lamp: all of a group, or else of the parts that its widest gap divides it into.
+    fn merge(&self, group: &[Lamp], merged: &mut Vec<Merged>) {
+        if group.len() < 2 || self.is_stopped() {
+            return;
+        }
+        if let Some(one) = self.as_one(group) {
+            merged.push(one);
+            return;
+        }
+        let mut gaps: Vec<f32> = (group.iter().enumerate())
+            .flat_map(|(i, a)| group[..i].iter().map(move |b| (a, b)))
+            .map(|(a, b)| self.gap(a, b))
+            .collect();
+        gaps.sort_by(|a, b| b.total_cmp(a));
+        for gap in gaps {
+            let parts = linked_groups(group.to_vec(), |a, b| self.gap(a, b) < gap);
+            if parts.len() > 1 {
+                return parts.iter().for_each(|part| self.merge(part, merged));
+            }
+        }
+    }
+
+    /// One ellipse, if it explains the photographs about as well as one for each of some parts.
+    fn as_one(&self, parts: &[Lamp]) -> Option<Merged> {
+        let grid = self.solver.grid;
+        let nodes = parts.iter().flat_map(|lamp| lamp.nodes.iter().copied());
+        let lamp = Lamp::new(grid, self.nodes, nodes.collect())?;
+        if lamp.angular_radius > WIDEST * self.state.lobe_width() {
+            return None;
+        }
+        let start = Ellipse::of(grid, self.nodes, &lamp);
+        let spike = |&node: &u32| (node as usize, self.nodes[node as usize]);
+        let spikes = light(lamp.nodes.iter().map(spike));
+        let of_part = |part| Ellipse::of(grid, self.nodes, part).nodes(grid);
+        let several = light(parts.iter().flat_map(of_part));
+        let around = start
+            .reach(grid, REACH * lamp.angular_radius)
+            .map(|n| n as u32);
+        let all = spikes.keys().chain(several.keys()).copied().chain(around);
+        let place = Place::new(self, all.collect(), &spikes);
+        let present = self.state.squares();
+        let variance = present / (3.0 * self.state.weights.len() as f64);
+        let noise = MOST_NOISE * variance * (parts.len() - 1) as f64;
+        let several = place.with(&several).left - present;
+        let (ellipse, left) = place.fit(start);
+        let is_one =
+            left - present < MOST_RATIO * f64::from(ellipse.roundness()) * several.max(0.0) + noise;
+        is_one.then_some(Merged { lamp, ellipse })
+    }
+}
+
+/// The part of the hemisphere in which other light is put in the place of spikes.
+struct Place<'a> {
+    judge: &'a Judge<'a>,
+    cells: Vec<Cell>,
+    design: Design<'a>,
+    /// The residuals without the spikes.
+    residuals: Vec<DVec3>,
+    /// Their weighted squares.
+    squares: DVec3,
+}
+
+/// A light in the place of spikes, as strong as fits best.
+struct Shown {
+    /// What it shows at the rows, at its own strength.
+    values: Vec<DVec3>,
+    /// The weighted squares of that.
+    own: DVec3,
+    /// Its best strength.
+    factor: DVec3,
+    /// Weighted squares of the residuals that it leaves.
+    left: f64,
+}
+
+impl<'a> Place<'a> {
+    fn new(judge: &'a Judge<'a>, nodes: BTreeSet<u32>, spikes: &Light) -> Self {
+        let level = judge.solver.pyramid.finest();
+        let cells: Vec<Cell> = nodes.into_iter().map(|node| Cell { level, node }).collect();
+        let brdf = &judge.state.brdf;
+        let design = judge
+            .solver
+            .shadowed_design(judge.observations, &cells, brdf);
+        let mut place = Self {
+            judge,
+            cells,
+            design,
+            residuals: Vec::new(),
+            squares: DVec3::ZERO,
+        };
+        let present = judge.state.residuals.values.iter();
+        place.residuals = present
+            .zip(place.shown(spikes))
+            .map(|(&residual, spikes)| Vec3::from(residual).as_dvec3() + spikes)
+            .collect();
+        place.squares = place.dot(&place.residuals, &place.residuals);
+        place
+    }
+
+    /// What a light shows at the rows; nothing after a stop.
+    fn shown(&self, light: &Light) -> Vec<DVec3> {
+        let state = self.judge.state;
+        if self.judge.is_stopped() {
+            return vec![DVec3::ZERO; state.weights.len()];
+        }
+        let of = |cell: &Cell| light.get(&cell.node).map_or([0.0; 3], Vec3::to_array);
+        let radiance: Vec<[f32; 3]> = self.cells.iter().map(of).collect();
+        let mut values = self.design.predict_values(&state.brdf, &radiance);
+        state.eliminate(&mut values);
+        values
+            .into_iter()
+            .map(|v| Vec3::from(v).as_dvec3())
+            .collect()
+    }
+
+    /// Σ w a b over the rows, per channel.
+    fn dot(&self, a: &[DVec3], b: &[DVec3]) -> DVec3 {
+        let weights = &self.judge.state.weights;
+        let rows = a.iter().zip(b).zip(weights);
+        rows.map(|((&a, &b), &w)| f64::from(w) * a * b).sum()
+    }
+
+    /// A light in the place of the spikes.
+    fn with(&self, light: &Light) -> Shown {
+        let values = self.shown(light);
+        let own = self
+            .dot(&values, &values)
+            .max(DVec3::splat(f64::MIN_POSITIVE));
+        let factor = self.dot(&values, &self.residuals) / own;
+        let left = self.squares - factor * factor * own;
+        Shown {
+            values,
+            own,
+            factor,
+            left: left.element_sum(),
+        }
+    }
+
+    /// The ellipse that leaves least, and what it leaves, sought from one that leaves little by Gauss-Newton steps on place and
+    /// shape, the strength eliminated.
+    fn fit(&self, start: Ellipse) -> (Ellipse, f64) {
+        let grid = self.judge.solver.grid;
+        let (mut ellipse, mut shown) = (start, self.with(&light(start.nodes(grid))));
+        for _ in 0..ROUNDS {
+            let Some(step) = self.step(&ellipse, &shown) else {
+                break;
+            };
+            let mut tried = [1.0, 0.4].into_iter().map(|part| {
+                let next = ellipse.changed(step.map(|s| part * s), grid);
+                (next, self.with(&light(next.nodes(grid))))
+            });
+            let Some(better) = tried.find(|(_, then)| then.left < shown.left) else {
+                break;
+            };
+            let settled = better.1.left > SETTLED * shown.left;
+            (ellipse, shown) = better;
+            if settled {
+                break;
+            }
+        }
+        (ellipse.times(shown.factor.as_vec3()), shown.left)
+    }
+
+    /// A Gauss-Newton step of an ellipse.
+    fn step(&self, ellipse: &Ellipse, shown: &Shown) -> Option<[f32; PARAMETERS]> {
+        let grid = self.judge.solver.grid;
+        let delta = DIFFERENCE * grid.spacing();
+        let columns: Vec<Vec<DVec3>> = (0..PARAMETERS)
+            .map(|k| {
+                let mut by = [0.0; PARAMETERS];
+                by[k] = delta;
+                let changed = self.shown(&light(ellipse.changed(by, grid).nodes(grid)));
+                let scale = shown.factor / f64::from(delta);
+                let pairs = changed.into_iter().zip(&shown.values);
+                let mut column: Vec<DVec3> = pairs.map(|(a, b)| scale * (a - *b)).collect();
+                let along = self.dot(&column, &shown.values) / shown.own;
+                for (value, shown) in column.iter_mut().zip(&shown.values) {
+                    *value -= along * *shown;
+                }
+                column
+            })
+            .collect();
+        let left: Vec<DVec3> = (self.residuals.iter().zip(&shown.values))
+            .map(|(residual, shown_there)| *residual - shown.factor * *shown_there)
+            .collect();
+        let gram = Mat::from_fn(PARAMETERS, PARAMETERS, |i, j| {
+            self.dot(&columns[i], &columns[j]).element_sum()
+        });
+        let right = Col::from_fn(PARAMETERS, |i| self.dot(&columns[i], &left).element_sum());
+        let step = gram.llt(Side::Lower).ok()?.solve(&right);
+        Some(std::array::from_fn(|k| step[k] as f32))
+    }
+}

@@ -1,0 +1,386 @@
+//! What the estimation looks at: surface points, each with its radiance in every view that sees it.
+//!
+//! The lights are sought in differences between views of one surface point, whose diffuse radiance is the same in
+//! all of them (method notes, section 4). So only points that two views see clearly are taken. Points are spread
+//! evenly over the pixels of all views, at pixel centres of one view and interpolated in the others.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use glam::{DVec2, Vec2, Vec3};
+use rayon::prelude::*;
+
+use rekindle_base::math::morton;
+use rekindle_capture::{Mesh, Photograph, View};
+use rekindle_scene::surface::ViewSurface;
+
+/// Rows at a smaller cosine between normal and view are not used: 1/cos θ_r magnifies there whatever is wrong in
+/// the normals, and a pixel covers many of them.
+pub const MIN_COS_ROW: f32 = 0.2;
+
+/// Rows of a point up to which the number of points is what counts. Where many views see each point, fewer points say as much.
+const ROWS_PER_POINT: usize = 8;
+
+/// A surface and the photographs of it.
+#[derive(Clone, Copy)]
+pub struct Seen<'a> {
+    /// The surface.
+    pub mesh: &'a Mesh,
+    /// Photographs and cameras.
+    pub views: &'a [View],
+    /// What each view sees of the surface, one per view.
+    pub surfaces: &'a [ViewSurface],
+}
+
+/// The radiance of one surface point in one view.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    /// The view.
+    pub view: usize,
+    /// Unit direction from the point to the camera, world space.
+    pub to_camera: Vec3,
+    /// Cosine between normal and `to_camera`.
+    pub cos_view: f32,
+    /// Measured radiance, RGB, in units of [`Observations::scale`].
+    pub radiance: [f32; 3],
+    /// How unsure the interpolated radiance is: the image's local deviation from a plane, same units.
+    pub detail: f32,
+}
+
+/// A surface point that at least two views see.
+#[derive(Clone, Debug)]
+pub struct Point {
+    /// World position.
+    pub position: Vec3,
+    /// Unit shading normal.
+    pub normal: Vec3,
+    /// The triangle it lies on, and its weights of the second and third corner.
+    pub on: (u32, Vec2),
+    /// Its rows in [`Observations::rows`].
+    pub rows: Range<usize>,
+}
+
+/// All points with their rows, points in the order of their normals.
+#[derive(Clone, Debug, Default)]
+pub struct Observations {
+    /// Surface points.
+    pub points: Vec<Point>,
+    /// Rows, those of one point together.
+    pub rows: Vec<Row>,
+    /// Radiance that counts as 1: the mean over all rows and channels, in the capture's units.
+    pub scale: f32,
+    /// Whether the three channels are one and the same.
+    pub gray: bool,
+}
+
+/// Which points [`Observations::gather`] looks for.
+pub struct Sampling<'a> {
+    /// Pixels looked at, about.
+    pub candidates: usize,
+    /// Most points kept, an even sample of those that qualify; see [`Candidate::among_first`].
+    pub limit: usize,
+    /// Whether a point with these rows is of use.
+    pub keep: &'a (dyn Fn(Vec3, Vec3, &[Row]) -> bool + Sync),
+    /// Radiance that counts as 1, if it has been chosen already.
+    pub scale: Option<f32>,
+    /// Once this is set, no more points are gathered.
+    pub stop: &'a AtomicBool,
+}
+
+impl Observations {
+    /// Gathers points from all views.
+    pub fn gather(seen: &Seen<'_>, sampling: &Sampling<'_>) -> Self {
+        Self::of(Candidate::all(seen, sampling), sampling.scale)
+    }
+
+    /// The rows of some points, which follow each other.
+    pub fn rows_of(&self, points: &Range<usize>) -> Range<usize> {
+        let of_points = &self.points[points.clone()];
+        match (of_points.first(), of_points.last()) {
+            (Some(first), Some(last)) => first.rows.start..last.rows.end,
+            _ => 0..0,
+        }
+    }
+
+    /// The points of candidates.
+    pub fn of(mut candidates: Vec<Candidate>, scale: Option<f32>) -> Self {
+        candidates.sort_by_key(|c| (morton_of_direction(c.normal), c.order));
+        Self::from_candidates(&candidates, scale)
+    }
+
+    fn from_candidates(candidates: &[Candidate], scale: Option<f32>) -> Self {
+        let mut all = Self::default();
+        let mut sum = 0.0_f64;
+        for candidate in candidates {
+            let first = all.rows.len();
+            all.rows.extend(&candidate.rows);
+            all.points.push(Point {
+                position: candidate.position,
+                normal: candidate.normal,
+                on: candidate.on,
+                rows: first..all.rows.len(),
+            });
+            sum += candidate
+                .rows
+                .iter()
+                .flat_map(|r| r.radiance)
+                .map(f64::from)
+                .sum::<f64>();
+        }
+        let mean = (sum / (3 * all.rows.len()).max(1) as f64) as f32;
+        all.scale = scale.unwrap_or(if mean > 0.0 { mean } else { 1.0 });
+        for row in &mut all.rows {
+            row.radiance = row.radiance.map(|c| c / all.scale);
+            row.detail /= all.scale;
+        }
+        all
+    }
+
+    /// The same without a view's rows and the points that then have fewer than two, and the places that its rows have here.
+    pub fn without_view(&self, view: usize) -> (Self, Vec<usize>) {
+        let mut without = Self {
+            scale: self.scale,
+            gray: self.gray,
+            ..Self::default()
+        };
+        let mut places = Vec::new();
+        for point in &self.points {
+            let mut kept: Vec<usize> = point.rows.clone().collect();
+            kept.retain(|&k| self.rows[k].view != view);
+            if kept.len() < 2 {
+                continue;
+            }
+            let first = without.rows.len();
+            without.rows.extend(kept.iter().map(|&k| self.rows[k]));
+            without.points.push(Point {
+                rows: first..without.rows.len(),
+                ..point.clone()
+            });
+            places.extend(kept);
+        }
+        (without, places)
+    }
+
+    /// The same with each row's three channels replaced by their mean.
+    #[must_use]
+    pub fn to_gray(&self) -> Self {
+        let mut gray = self.clone();
+        for row in &mut gray.rows {
+            row.radiance = [row.radiance.iter().sum::<f32>() / 3.0; 3];
+        }
+        gray.gray = true;
+        gray
+    }
+}
+
+/// Position on a space-filling curve over the octahedral map, so that near directions have near codes.
+fn morton_of_direction(d: Vec3) -> u32 {
+    let d = d / (d.x.abs() + d.y.abs() + d.z.abs()).max(1e-12);
+    let fold = |a: f32, b: f32| (1.0 - b.abs()) * 1.0_f32.copysign(a);
+    let (u, v) = if d.z >= 0.0 {
+        (d.x, d.y)
+    } else {
+        (fold(d.x, d.y), fold(d.y, d.x))
+    };
+    let quantised = |t: f32| ((t * 0.5 + 0.5) * 255.0) as u32;
+    morton::code([quantised(u), quantised(v)])
+}
+
+/// A surface point that may be taken.
+#[derive(Clone)]
+pub struct Candidate {
+    /// Pseudo-random rank, unique enough to sample evenly.
+    order: (u32, usize, u32, u32),
+    position: Vec3,
+    normal: Vec3,
+    on: (u32, Vec2),
+    rows: Vec<Row>,
+}
+
+impl Candidate {
+    /// Whether [`Sampling::keep`] would keep it.
+    pub fn is_kept_by(&self, keep: impl Fn(Vec3, Vec3, &[Row]) -> bool) -> bool {
+        keep(self.position, self.normal, &self.rows)
+    }
+
+    /// Says, asked of one candidate after the other, whether it is among the first `limit`, fewer where they have many rows.
+    pub fn among_first(limit: usize) -> impl FnMut(&Self) -> bool {
+        let most_rows = limit.saturating_mul(ROWS_PER_POINT);
+        let (mut points, mut rows) = (0, 0);
+        move |candidate| {
+            points += 1;
+            rows += candidate.rows.len();
+            points <= limit && rows <= most_rows
+        }
+    }
+
+    /// The points of a sampling in random order, so that the first of them are an even sample too.
+    pub fn all(seen: &Seen<'_>, sampling: &Sampling<'_>) -> Vec<Self> {
+        let interior: usize = seen
+            .surfaces
+            .iter()
+            .map(|s| s.interior.iter().filter(|&&i| i).count())
+            .sum();
+        // One candidate a square of `cell` pixels.
+        let cell = (interior as f64 / sampling.candidates.max(1) as f64)
+            .sqrt()
+            .max(1.0);
+        let mut found: Vec<Self> = (0..seen.views.len())
+            .into_par_iter()
+            .flat_map_iter(|view| {
+                pixel_grid(&seen.surfaces[view], cell, view)
+                    .map(move |(x, y, order)| (order, view, x, y))
+            })
+            .filter_map(|(order, view, x, y)| {
+                if sampling.stop.load(Ordering::Relaxed) {
+                    return None;
+                }
+                candidate(seen, view, [x, y], order)
+            })
+            .filter(|c| c.rows.len() >= 2 && (sampling.keep)(c.position, c.normal, &c.rows))
+            .collect();
+        found.sort_unstable_by_key(|c| c.order);
+        found.retain(Self::among_first(sampling.limit));
+        found
+    }
+}
+
+/// One pixel in each square of `cell` × `cell` pixels, jittered by a hash, with the hash as a random order.
+fn pixel_grid(
+    surface: &ViewSurface,
+    cell: f64,
+    view: usize,
+) -> impl Iterator<Item = (u32, u32, u32)> {
+    let across = (f64::from(surface.width) / cell).ceil() as u32;
+    let down = (f64::from(surface.height) / cell).ceil() as u32;
+    (0..down).flat_map(move |j| {
+        (0..across).map(move |i| {
+            let h = hash(i, j, view as u32);
+            let within =
+                |n: u32, bits: u32| ((f64::from(n) + f64::from(bits) / 65_536.0) * cell) as u32;
+            (within(i, h & 0xffff), within(j, h >> 16), hash(h, i, j))
+        })
+    })
+}
+
+/// A well-mixed function of three integers (Jarzynski and Olano's pcg3d, first component).
+fn hash(x: u32, y: u32, z: u32) -> u32 {
+    let step = |v: u32| v.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+    let (mut x, mut y, mut z) = (step(x), step(y), step(z));
+    for _ in 0..2 {
+        x = x.wrapping_add(y.wrapping_mul(z));
+        y = y.wrapping_add(z.wrapping_mul(x));
+        z = z.wrapping_add(x.wrapping_mul(y));
+        x ^= x >> 16;
+        y ^= y >> 16;
+        z ^= z >> 16;
+    }
+    x
+}
+
+fn candidate(seen: &Seen<'_>, view: usize, [x, y]: [u32; 2], order: u32) -> Option<Candidate> {
+    let surface = &seen.surfaces[view];
+    if x >= surface.width || y >= surface.height {
+        return None;
+    }
+    if !surface.interior[(y * surface.width + x) as usize] {
+        return None;
+    }
+    let triangle = surface.triangle[(y * surface.width + x) as usize];
+    let barycentric = surface.barycentric(seen.mesh, &seen.views[view].camera, x, y)?;
+    let point = seen.mesh.point(triangle, barycentric);
+    let rows: Vec<Row> = (0..seen.views.len())
+        .filter_map(|v| row(seen, v, point.position, point.normal))
+        .collect();
+    (!rows.is_empty()).then_some(Candidate {
+        order: (order, view, x, y),
+        position: point.position,
+        normal: point.normal,
+        on: (triangle, barycentric),
+        rows,
+    })
+}
+
+fn row(seen: &Seen<'_>, view: usize, position: Vec3, normal: Vec3) -> Option<Row> {
+    let camera = &seen.views[view].camera;
+    let to_camera = (camera.position() - position.as_dvec3())
+        .normalize_or_zero()
+        .as_vec3();
+    let cos_view = normal.dot(to_camera);
+    if cos_view < MIN_COS_ROW {
+        return None;
+    }
+    let pixel = seen.surfaces[view].sees(position)?;
+    let (radiance, detail) =
+        interpolate(&seen.views[view].photograph, &seen.surfaces[view], pixel)?;
+    Some(Row {
+        view,
+        to_camera,
+        cos_view,
+        radiance,
+        detail,
+    })
+}
+
+/// Catmull-Rom interpolation of a photograph at a pixel coordinate, with the deviation of the 4 × 4 pixels from
+/// their best plane. `None` where one of them is no data or not inside the object.
+fn interpolate(
+    photograph: &Photograph,
+    surface: &ViewSurface,
+    pixel: DVec2,
+) -> Option<([f32; 3], f32)> {
+    let at = pixel - 0.5;
+    let corner = at.floor();
+    let (x0, y0) = (corner.x as i64 - 1, corner.y as i64 - 1);
+    let (width, height) = (i64::from(photograph.width), i64::from(photograph.height));
+    if x0 < 0 || y0 < 0 || x0 + 4 > width || y0 + 4 > height {
+        return None;
+    }
+    let weights = |t: f32| {
+        [
+            ((2.0 - t) * t - 1.0) * t * 0.5,
+            ((3.0 * t - 5.0) * t * t + 2.0) * 0.5,
+            ((4.0 - 3.0 * t) * t + 1.0) * t * 0.5,
+            (t - 1.0) * t * t * 0.5,
+        ]
+    };
+    let fraction = (at - corner).as_vec2();
+    let (wx, wy) = (weights(fraction.x), weights(fraction.y));
+    let mut value = Vec3::ZERO;
+    let mut samples = [Vec3::ZERO; 16];
+    for j in 0..4 {
+        for i in 0..4 {
+            let index = ((y0 + j) * width + x0 + i) as usize;
+            if !photograph.usable[index] || !surface.interior[index] {
+                return None;
+            }
+            let sample = Vec3::from(photograph.radiance[index]);
+            samples[(4 * j + i) as usize] = sample;
+            value += wx[i as usize] * wy[j as usize] * sample;
+        }
+    }
+    Some((value.max(Vec3::ZERO).into(), plane_deviation(&samples)))
+}
+
+/// Root mean square deviation of 4 × 4 samples from their least-squares plane, over the three channels.
+fn plane_deviation(samples: &[Vec3; 16]) -> f32 {
+    let position = |k: usize| ((k % 4) as f32 - 1.5, (k / 4) as f32 - 1.5);
+    let mut mean = Vec3::ZERO;
+    let (mut slope_x, mut slope_y) = (Vec3::ZERO, Vec3::ZERO);
+    for (k, &s) in samples.iter().enumerate() {
+        let (x, y) = position(k);
+        mean += s / 16.0;
+        // Σ x² over the 16 samples is 20.
+        slope_x += s * (x / 20.0);
+        slope_y += s * (y / 20.0);
+    }
+    let sum: f32 = samples
+        .iter()
+        .enumerate()
+        .map(|(k, &s)| {
+            let (x, y) = position(k);
+            (s - mean - slope_x * x - slope_y * y).length_squared()
+        })
+        .sum();
+    (sum / 48.0).sqrt()
+}

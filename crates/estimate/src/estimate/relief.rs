@@ -1,0 +1,665 @@
+//! The surface of a mesh that is coarser than its highlights, refined by them.
+//!
+//! Normals that are off by as much as the lobe is wide make highlights look like those of many lights in a narrow lobe.
+//! The fair surface through the mesh ([`Fairing`]) is nearer to the object, but not near enough. So its places are moved
+//! along its normals by heights d, which are estimated together with a few lamps and σ as the minimum of
+//!
+//! `Σ w (I − I_S(n(d), lamps, σ) − diffuse)²/s² + dᵀ P d`
+//!
+//! over the rows of all points that show a lamp, each point's diffuse colour eliminated as everywhere. s² is the mean
+//! squared residual and P the precision of the fair surface, so both parts are in their own units
+//! and nothing is tuned. A height moves the normals around it; what it does to places is left to the next round.
+//!
+//! Lamps are points here. Cells would do what normals are wanted to do: with many of them lit, any normals will do. And
+//! they are looked for with a lobe that is too wide, which lights few cells. The final lights and σ are estimated from
+//! the refined surface afresh.
+
+use std::collections::BTreeMap;
+
+use faer::linalg::solvers::Solve;
+use faer::{Col, Mat};
+use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::cells::{Cell, CellGeometry};
+use super::design::Design;
+use super::fast::{Solver, Watch};
+use super::observations::{Observations, Point, Seen};
+use super::observer::{Stopped, go_on};
+use super::state::ROUGH;
+use super::visibility::{SeenCells, cell_visibility};
+use super::weights::{eliminate, mean_weights, residuals};
+use super::{SpecularChoice, choose};
+use rekindle_base::math::sparse::LowerEntries;
+use rekindle_capture::{Mesh, View};
+use rekindle_scene::hemisphere::{Lamp, find_lamps};
+use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::surface::{Fairing, NO_TRIANGLE, Occluder, ViewSurface, area_vectors};
+
+/// The lobe with which lamps are looked for over the one that fits best on unrefined normals.
+const WIDER: f32 = 2.0;
+
+/// Most lamps, and the least share of the flux of one.
+const MOST_LAMPS: usize = 12;
+const LEAST_SHARE: f32 = 0.03;
+
+/// Rounds, and those in which σ stays as it is, so that the lamps find their places first.
+const ROUNDS: usize = 8;
+const ROUNDS_AT_FIRST_SIGMA: usize = 2;
+/// A round that changes σ by less than this part of it is the last.
+const SETTLED: f32 = 5e-3;
+
+/// Pixels that a triangle must cover for the views to show more than it says: it is divided into sixteen.
+const LEAST_PIXELS: f64 = 16.0;
+
+/// Most points that take part.
+const POINTS: usize = 24_000;
+/// They are always cut into this many runs, so that sums come out the same on any number of threads.
+const RUNS: usize = 4;
+
+/// Angle by which normals and lamps are turned for their derivatives, radians.
+const TURN: f32 = 1e-3;
+
+/// Longest step of σ and of a flux, relative, and of a lamp's direction, radians.
+const LONGEST_SIGMA_STEP: f64 = 0.3;
+const LONGEST_FLUX_STEP: f32 = 0.5;
+const LONGEST_TURN: f32 = 0.05;
+
+/// Unknowns of one lamp: two of its direction, three of its flux.
+const PER_LAMP: usize = 5;
+
+/// A finer mesh in place of a coarse one.
+#[derive(Clone, Debug)]
+pub struct RefinedSurface {
+    /// The surface, without texture coordinates.
+    pub mesh: Mesh,
+    /// Median angle by which normals were turned, radians.
+    pub median_tilt: f32,
+}
+
+/// What a solver needs beside a mesh: what the views see of it, and what hides what.
+pub struct Bench {
+    occluder: Occluder,
+    surfaces: Vec<ViewSurface>,
+}
+
+impl Bench {
+    /// Looks at a mesh from all views.
+    pub fn new(mesh: &Mesh, views: &[View]) -> Self {
+        let occluder = Occluder::new(mesh);
+        let surfaces = views
+            .iter()
+            .map(|v| ViewSurface::new(mesh, &occluder, &v.camera))
+            .collect();
+        Self { occluder, surfaces }
+    }
+
+    /// The solver of the same capture with `mesh` in place of its own.
+    pub fn solver<'b>(&'b self, other: &'b Solver<'_>, mesh: &'b Mesh) -> Solver<'b> {
+        let seen = Seen {
+            mesh,
+            surfaces: &self.surfaces,
+            ..other.seen
+        };
+        Solver {
+            coarse: Solver::coarse_observations(&seen, Some(other.coarse.scale), other.stop),
+            seen,
+            occluder: &self.occluder,
+            ..*other
+        }
+    }
+}
+
+/// Point lights with the lobe that shows them.
+#[derive(Clone, Debug)]
+struct Lamps {
+    /// Unit directions from the object's centre.
+    directions: Vec<Vec3>,
+    /// Radiance × solid angle, RGB, in units of the observations' scale.
+    flux: Vec<[f32; 3]>,
+    brdf: Brdf,
+}
+
+/// A surface on its way.
+struct Relief {
+    fairing: Fairing,
+    /// Unit normals of the fair surface, along which places move.
+    along: Vec<DVec3>,
+    /// How far, mesh units.
+    heights: Vec<f64>,
+}
+
+/// A surface that explains the highlights better than the solver's; `None` where the mesh is fine enough for the views or
+/// does not determine a fair one, or no lamps are found.
+pub fn refine(
+    solver: &Solver<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<RefinedSurface>, Stopped> {
+    const WHAT: &str = "refining the surface";
+    go_on(watch.observer.progress(WHAT, 0.3))?;
+    if pixels_per_triangle(&solver.seen) < LEAST_PIXELS {
+        return Ok(None);
+    }
+    let Some(mut relief) = Relief::new(solver.seen.mesh) else {
+        return Ok(None);
+    };
+    let mut mesh = relief.mesh();
+    let mut lamps = {
+        let bench = Bench::new(&mesh, solver.seen.views);
+        wide_lamps(&bench.solver(solver, &mesh), choice, watch)?
+    };
+    if lamps.directions.is_empty() {
+        return Ok(None);
+    }
+    for round in 0..ROUNDS {
+        let done = 0.3 + 0.3 * round as f32 / ROUNDS as f32;
+        go_on(watch.observer.progress(WHAT, done))?;
+        let bench = Bench::new(&mesh, solver.seen.views);
+        let solver = bench.solver(solver, &mesh);
+        let free_sigma = round >= ROUNDS_AT_FIRST_SIGMA;
+        let sigma = lamps.brdf.sigma;
+        if relief.step(&solver, &mut lamps, free_sigma).is_none() || watch.observer.enough() {
+            break;
+        }
+        mesh = relief.mesh();
+        if free_sigma && (lamps.brdf.sigma / sigma - 1.0).abs() < SETTLED {
+            break;
+        }
+    }
+    Ok(Some(RefinedSurface {
+        median_tilt: relief.fairing.median_tilt(&mesh),
+        mesh,
+    }))
+}
+
+/// Pixels that a triangle covers in a view that shows it, in the mean.
+fn pixels_per_triangle(seen: &Seen<'_>) -> f64 {
+    let (mut pixels, mut shown) = (0_usize, 0_usize);
+    for surface in seen.surfaces {
+        let object = surface.triangle.iter().filter(|&&t| t != NO_TRIANGLE);
+        let mut triangles: Vec<u32> = object.copied().collect();
+        pixels += triangles.len();
+        triangles.sort_unstable();
+        triangles.dedup();
+        shown += triangles.len();
+    }
+    pixels as f64 / shown.max(1) as f64
+}
+
+/// Lamps in a lobe that is too wide: few, and where the highlights are in the mean over the surface.
+fn wide_lamps(
+    solver: &Solver<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Lamps, Stopped> {
+    let (coarse, _) = choose(solver, choice, watch)?;
+    let points = solver.middle_observations(&coarse.state);
+    let mut state = solver.refine(&coarse.state, &points);
+    state.brdf.sigma *= WIDER;
+    state.solve_lights(ROUGH);
+    let nodes = solver.pyramid.to_nodes(&state.cells, &state.radiance);
+    let mut found = find_lamps(solver.grid, &nodes);
+    let total: f32 = found.iter().map(Lamp::mean_flux).sum();
+    found.retain(|l| l.mean_flux() > LEAST_SHARE * total);
+    found.truncate(MOST_LAMPS);
+    Ok(Lamps {
+        directions: found.iter().map(|l| l.direction).collect(),
+        flux: found.iter().map(|l| l.flux).collect(),
+        brdf: state.brdf,
+    })
+}
+
+impl Lamps {
+    fn geometry(&self) -> CellGeometry {
+        CellGeometry {
+            directions: self.directions.clone(),
+            solid_angles: vec![1.0; self.directions.len()],
+            spread: vec![0.0; self.directions.len()],
+        }
+    }
+
+    fn turned(&self, lamp: usize, by: Vec3) -> Self {
+        let mut turned = self.clone();
+        turned.directions[lamp] = (self.directions[lamp] + by).normalize_or_zero();
+        turned
+    }
+
+    /// Derivatives of every row's specular radiance: by σ, then lamp by lamp by the direction along two tangents and by
+    /// the three channels' flux.
+    fn derivatives(&self, design: &Design<'_>) -> Vec<Vec<[f32; 3]>> {
+        let mut columns = vec![design.predict(&self.brdf, &self.flux).by_sigma];
+        for (lamp, direction) in self.directions.iter().enumerate() {
+            let (t1, t2) = direction.any_orthonormal_pair();
+            for tangent in [t1, t2] {
+                columns.push(central_difference(|by| {
+                    let geometry = self.turned(lamp, by * tangent).geometry();
+                    let turned = Design {
+                        geometry,
+                        ..design.clone()
+                    };
+                    turned.predict(&self.brdf, &self.flux).value
+                }));
+            }
+            for channel in 0..3 {
+                let mut unit = vec![[0.0; 3]; self.flux.len()];
+                unit[lamp][channel] = 1.0;
+                columns.push(design.predict(&self.brdf, &unit).value);
+            }
+        }
+        columns
+    }
+
+    /// Takes a step of the unknowns in the order of [`Lamps::derivatives`], no part of it too long.
+    fn take(&mut self, step: &Col<f64>) {
+        let sigma = f64::from(self.brdf.sigma);
+        let limit = LONGEST_SIGMA_STEP * sigma;
+        self.brdf.sigma = (sigma + step[0].clamp(-limit, limit)) as f32;
+        for lamp in 0..self.directions.len() {
+            let at = |k: usize| step[1 + PER_LAMP * lamp + k] as f32;
+            let (t1, t2) = self.directions[lamp].any_orthonormal_pair();
+            let turn = (at(0) * t1 + at(1) * t2).clamp_length_max(LONGEST_TURN);
+            self.directions[lamp] = (self.directions[lamp] + turn).normalize_or_zero();
+            for (channel, flux) in self.flux[lamp].iter_mut().enumerate() {
+                let limit = LONGEST_FLUX_STEP * *flux;
+                *flux += at(2 + channel).clamp(-limit, limit);
+            }
+        }
+    }
+}
+
+/// The derivative of rows by an angle, at zero.
+fn central_difference(rows: impl Fn(f32) -> Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    let mut difference = rows(TURN);
+    for (high, low) in difference.iter_mut().zip(rows(-TURN)) {
+        for (h, l) in high.iter_mut().zip(low) {
+            *h = (*h - l) / (2.0 * TURN);
+        }
+    }
+    difference
+}
+
+/// The same points with every normal turned by `angle` towards the first or second tangent of its frame.
+pub fn tilted(observations: &Observations, second: bool, angle: f32) -> Observations {
+    let mut tilted = observations.clone();
+    for point in &mut tilted.points {
+        let (t1, t2) = point.normal.any_orthonormal_pair();
+        let tangent = if second { t2 } else { t1 };
+        point.normal = (point.normal + angle * tangent).normalize_or_zero();
+        for row in &mut tilted.rows[point.rows.clone()] {
+            row.cos_view = point.normal.dot(row.to_camera);
+        }
+    }
+    tilted
+}
+
+/// Normal equations of heights and lamps.
+struct Equations {
+    /// Of the heights.
+    heights: LowerEntries,
+    gradient: Vec<f64>,
+    /// Of each lamps' unknown with the heights, one column each.
+    coupling: Vec<Vec<f64>>,
+    /// Of the lamps' unknowns.
+    lamps: Mat<f64>,
+    lamps_gradient: Col<f64>,
+}
+
+impl Equations {
+    fn new(heights: usize, unknowns: usize) -> Self {
+        Self {
+            heights: LowerEntries::default(),
+            gradient: vec![0.0; heights],
+            coupling: vec![vec![0.0; heights]; unknowns],
+            lamps: Mat::zeros(unknowns, unknowns),
+            lamps_gradient: Col::zeros(unknowns),
+        }
+    }
+
+    /// Adds a point: `tilts` holds the derivative of its normal's tilt, along two tangents, by each height that turns it.
+    fn add(&mut self, point: &PointEquations, tilts: &[(usize, DVec2)]) {
+        for &(i, a) in tilts {
+            self.gradient[i] += point.gradient.dot(a);
+            for (column, coupling) in self.coupling.iter_mut().zip(&point.coupling) {
+                column[i] += coupling.dot(a);
+            }
+            let product = DVec2::new(
+                point.tilt[0] * a.x + point.tilt[1] * a.y,
+                point.tilt[1] * a.x + point.tilt[2] * a.y,
+            );
+            for &(j, b) in tilts {
+                self.heights.add(i, j, product.dot(b));
+            }
+        }
+    }
+
+    /// Adds the equations of other points.
+    fn merge(&mut self, other: &Self) {
+        self.heights.extend(&other.heights);
+        let coupling = self.coupling.iter_mut().zip(&other.coupling);
+        for (sums, values) in coupling.chain([(&mut self.gradient, &other.gradient)]) {
+            for (sum, value) in sums.iter_mut().zip(values) {
+                *sum += value;
+            }
+        }
+        self.lamps += &other.lamps;
+        self.lamps_gradient += &other.lamps_gradient;
+    }
+
+    /// Steps of heights and lamps: the heights are eliminated first, as there are many of them but few that meet.
+    fn solve(mut self) -> Option<(Vec<f64>, Col<f64>)> {
+        let (count, unknowns) = (self.gradient.len(), self.coupling.len());
+        let rhs = Mat::from_fn(count, 1 + unknowns, |i, k| match k {
+            0 => self.gradient[i],
+            _ => self.coupling[k - 1][i],
+        });
+        let x = self.heights.solve(&rhs)?;
+        let product = |a: usize, k: usize| -> f64 {
+            let column = self.coupling[a].iter().enumerate();
+            column.map(|(i, c)| c * x[(i, k)]).sum()
+        };
+        for a in 0..unknowns {
+            self.lamps_gradient[a] -= product(a, 0);
+            for b in 0..unknowns {
+                self.lamps[(a, b)] -= product(a, b + 1);
+            }
+            // An unknown that is held, or that no row tells of, stays.
+            self.lamps[(a, a)] += 1e-6 * self.lamps[(a, a)].abs() + f64::MIN_POSITIVE.sqrt();
+        }
+        let lamps = self.lamps.partial_piv_lu().solve(&self.lamps_gradient);
+        let heights = (0..count)
+            .map(|i| x[(i, 0)] - (0..unknowns).map(|a| x[(i, a + 1)] * lamps[a]).sum::<f64>())
+            .collect();
+        lamps.is_all_finite().then_some((heights, lamps))
+    }
+}
+
+/// Residuals of all rows with their derivatives, each point's diffuse colour taken out of both.
+struct LinearRows {
+    /// Weights over the variance of the residuals.
+    weights: Vec<f64>,
+    left: Vec<[f32; 3]>,
+    /// By the tilt of the point's normal along the two tangents of its frame.
+    by_tilt: [Vec<[f32; 3]>; 2],
+    /// By each of the lamps' unknowns.
+    by_lamps: Vec<Vec<[f32; 3]>>,
+}
+
+impl LinearRows {
+    fn new(design: &Design<'_>, lamps: &Lamps, free_sigma: bool) -> Self {
+        let brdf = &lamps.brdf;
+        let prediction = design.predict(brdf, &lamps.flux);
+        let (weights, variance) = mean_weights(design, brdf, &prediction);
+        let left = residuals(design, brdf, &weights, &prediction).values;
+        let mut by_tilt = [false, true].map(|second| {
+            central_difference(|angle| {
+                let observations = &tilted(design.observations, second, angle);
+                let design = Design {
+                    observations,
+                    ..design.clone()
+                };
+                design.predict(brdf, &lamps.flux).value
+            })
+        });
+        let mut by_lamps = lamps.derivatives(design);
+        if !free_sigma {
+            by_lamps[0].fill([0.0; 3]);
+        }
+        for column in by_tilt.iter_mut().chain(&mut by_lamps) {
+            eliminate_all(design.observations, brdf, &weights, column);
+        }
+        Self {
+            weights: weights.iter().map(|w| f64::from(*w) / variance).collect(),
+            left,
+            by_tilt,
+            by_lamps,
+        }
+    }
+
+    /// A point's equations; those of the lamps alone are added to `equations`.
+    fn point_equations(&self, point: &Point, equations: &mut Equations) -> PointEquations {
+        let mut own = PointEquations {
+            tilt: [0.0; 3],
+            gradient: DVec2::ZERO,
+            coupling: vec![DVec2::ZERO; self.by_lamps.len()],
+        };
+        for row in point.rows.clone() {
+            let weight = self.weights[row];
+            for channel in 0..3 {
+                let at = |rows: &[[f32; 3]]| f64::from(rows[row][channel]);
+                let tilt = DVec2::new(at(&self.by_tilt[0]), at(&self.by_tilt[1]));
+                let z = weight * at(&self.left);
+                own.gradient += z * tilt;
+                own.tilt[0] += weight * tilt.x * tilt.x;
+                own.tilt[1] += weight * tilt.x * tilt.y;
+                own.tilt[2] += weight * tilt.y * tilt.y;
+                for (a, column) in self.by_lamps.iter().enumerate() {
+                    let d = at(column);
+                    if d == 0.0 {
+                        continue;
+                    }
+                    own.coupling[a] += weight * d * tilt;
+                    equations.lamps_gradient[a] += z * d;
+                    for (b, other) in self.by_lamps.iter().enumerate() {
+                        equations.lamps[(a, b)] += weight * d * at(other);
+                    }
+                }
+            }
+        }
+        own
+    }
+}
+
+/// What one point's rows say: of its normal's tilt (xx, xy, yy), and of the tilt with each lamps' unknown.
+struct PointEquations {
+    tilt: [f64; 3],
+    gradient: DVec2,
+    coupling: Vec<DVec2>,
+}
+
+/// A unit normal with its derivatives by heights.
+type Slopes = (DVec3, Vec<(usize, DVec3)>);
+
+impl Relief {
+    fn new(mesh: &Mesh) -> Option<Self> {
+        let fairing = Fairing::new(mesh)?;
+        let along = area_vectors(&fairing.positions, &fairing.triangles)
+            .iter()
+            .map(|n| n.normalize_or_zero())
+            .collect();
+        let heights = vec![0.0; fairing.positions.len()];
+        Some(Self {
+            fairing,
+            along,
+            heights,
+        })
+    }
+
+    fn positions(&self) -> Vec<DVec3> {
+        let places = self.fairing.positions.iter().zip(&self.along);
+        places
+            .zip(&self.heights)
+            .map(|((p, n), h)| *p + *h * *n)
+            .collect()
+    }
+
+    fn mesh(&self) -> Mesh {
+        self.fairing.mesh_at(&self.positions())
+    }
+
+    /// A Gauss-Newton step of heights and lamps; `solver` is of the present surface. `None` where there is none.
+    fn step(&mut self, solver: &Solver<'_>, lamps: &mut Lamps, free_sigma: bool) -> Option<()> {
+        let observations = solver.points_showing(&lamps.directions, &lamps.brdf, POINTS);
+        let rows = LinearRows::new(&design(solver, lamps, &observations), lamps, free_sigma);
+        let slopes = self.slopes();
+        let points = &observations.points;
+        let parts: Vec<Equations> = (0..RUNS)
+            .into_par_iter()
+            .map(|run| {
+                let cut = |k: usize| points.len() * k / RUNS;
+                let mut equations = Equations::new(self.heights.len(), rows.by_lamps.len());
+                for point in &points[cut(run)..cut(run + 1)] {
+                    let own = rows.point_equations(point, &mut equations);
+                    equations.add(&own, &self.tilts(point, &slopes));
+                }
+                equations
+            })
+            .collect();
+        let mut equations = Equations::new(self.heights.len(), rows.by_lamps.len());
+        for part in &parts {
+            equations.merge(part);
+        }
+        let Equations {
+            heights, gradient, ..
+        } = &mut equations;
+        self.fairing.add_prior(&self.heights, heights, gradient);
+        let (step, lamps_step) = equations.solve()?;
+        for (h, s) in self.heights.iter_mut().zip(step) {
+            *h += s;
+        }
+        lamps.take(&lamps_step);
+        Some(())
+    }
+
+    /// For each place its unit normal, and the derivative of that by every height that turns it.
+    fn slopes(&self) -> Vec<Slopes> {
+        let positions = self.positions();
+        let triangles = &self.fairing.triangles;
+        let mut by_height: Vec<BTreeMap<usize, DVec3>> = vec![BTreeMap::new(); positions.len()];
+        for t in triangles {
+            for k in 0..3 {
+                let [i, j, l] = [t[k], t[(k + 1) % 3], t[(k + 2) % 3]];
+                // Of the area vector ½ (xᵢ × xⱼ + xⱼ × xₗ + xₗ × xᵢ).
+                let slope = 0.5 * (positions[l] - positions[j]).cross(self.along[i]);
+                for &place in t {
+                    *by_height[place].entry(i).or_default() += slope;
+                }
+            }
+        }
+        let sums = area_vectors(&positions, triangles);
+        sums.into_iter()
+            .zip(by_height)
+            .map(|(sum, slopes)| {
+                let normal = sum.normalize_or_zero();
+                let unit = |d: DVec3| (d - normal * normal.dot(d)) / sum.length().max(1e-300);
+                (
+                    normal,
+                    slopes.into_iter().map(|(i, d)| (i, unit(d))).collect(),
+                )
+            })
+            .collect()
+    }
+
+    /// Derivative of a point's normal, along the tangents of its frame, by every height that turns it.
+    fn tilts(&self, point: &Point, slopes: &[Slopes]) -> Vec<(usize, DVec2)> {
+        let (triangle, barycentric) = point.on;
+        let weights = [
+            1.0 - barycentric.x - barycentric.y,
+            barycentric.x,
+            barycentric.y,
+        ];
+        let corners = self.fairing.triangles[triangle as usize];
+        let (t1, t2) = point.normal.any_orthonormal_pair();
+        let (t1, t2) = (t1.as_dvec3(), t2.as_dvec3());
+        let mut sum = DVec3::ZERO;
+        let mut tilts: BTreeMap<usize, DVec2> = BTreeMap::new();
+        for (&place, weight) in corners.iter().zip(weights) {
+            let (normal, slopes) = &slopes[place];
+            sum += f64::from(weight) * *normal;
+            for (i, slope) in slopes {
+                let tilt = DVec2::new(t1.dot(*slope), t2.dot(*slope));
+                *tilts.entry(*i).or_default() += f64::from(weight) * tilt;
+            }
+        }
+        let length = sum.length().max(1e-300);
+        tilts.into_iter().map(|(i, t)| (i, t / length)).collect()
+    }
+}
+
+/// Rows under the lamps, with their shadows.
+fn design<'o>(solver: &Solver<'o>, lamps: &Lamps, observations: &'o Observations) -> Design<'o> {
+    let mut design = Design {
+        observations,
+        geometry: lamps.geometry(),
+        near: solver.near,
+        seen: SeenCells::default(),
+        diffuse_known: false,
+        long_tails: false,
+        shortcuts: solver.shortcuts,
+        workspace: solver.workspace,
+        stop: solver.stop,
+    };
+    let around: Vec<Cell> = lamps
+        .directions
+        .iter()
+        .map(|&d| solver.pyramid.root_at(d))
+        .collect();
+    design.seen = cell_visibility(
+        &design,
+        solver.pyramid,
+        &around,
+        &lamps.brdf,
+        solver.occluder,
+    );
+    design
+}
+
+/// Takes each point's best diffuse colour out of its rows.
+fn eliminate_all(
+    observations: &Observations,
+    brdf: &Brdf,
+    weights: &[f32],
+    values: &mut [[f32; 3]],
+) {
+    for point in &observations.points {
+        let rows = point.rows.clone();
+        let cosines = observations.rows[rows.clone()].iter().map(|r| r.cos_view);
+        eliminate(brdf, cosines, &weights[rows.clone()], &mut values[rows]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec2;
+
+    use super::*;
+    use rekindle_scene::surface::fixtures::bumpy_sphere;
+
+    #[test]
+    fn tilts_by_heights_agree_with_finite_differences() {
+        let mut relief = Relief::new(&bumpy_sphere(8, 0.1)).unwrap();
+        for (i, height) in relief.heights.iter_mut().enumerate() {
+            *height = 0.01 * (i as f64).sin();
+        }
+        let on = (700, Vec2::new(0.2, 0.5));
+        let normal = |relief: &Relief| relief.mesh().point(on.0, on.1).normal;
+        let point = Point {
+            position: Vec3::ZERO,
+            normal: normal(&relief),
+            on,
+            rows: 0..0,
+        };
+        let (t1, t2) = point.normal.any_orthonormal_pair();
+        let tilts = relief.tilts(&point, &relief.slopes());
+        assert!(tilts.len() >= 10, "{} places turn the normal", tilts.len());
+        let largest = tilts.iter().fold(0.0_f64, |m, t| m.max(t.1.length()));
+        for (place, tilt) in tilts {
+            let step = 1e-3;
+            let at = |height: f64| {
+                let mut moved = Relief {
+                    fairing: relief.fairing.clone(),
+                    along: relief.along.clone(),
+                    heights: relief.heights.clone(),
+                };
+                moved.heights[place] += height;
+                normal(&moved)
+            };
+            let turned = (at(step) - at(-step)) / (2.0 * step as f32);
+            let difference = Vec2::new(t1.dot(turned), t2.dot(turned)).as_dvec2();
+            assert!(
+                (difference - tilt).length() < 5e-3 * largest,
+                "{difference} against {tilt}, the largest is {largest}"
+            );
+        }
+    }
+}

@@ -1,0 +1,327 @@
+//! What, other than stated, would explain the photographs better?
+//!
+//! Where a fit leaves residuals that neighbouring points share, it is repeated on the coarsest cells with one assumption
+//! changed: where the lights are, what the pictures' numbers mean, how the lobe falls off. Each change is judged by whether it
+//! wins in more parts of the surface than chance would have it: points are gathered in groups of like normals, and the groups'
+//! differences are ranked (Wilcoxon, "Individual comparisons by ranking methods", 1945). So no single highlight decides.
+
+use std::ops::{ControlFlow, Range};
+use std::sync::atomic::Ordering;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::fast::Solver;
+use super::observations::Observations;
+use super::observer::{Stopped, go_on};
+use super::state::{ROUGH, State};
+use super::weights::magnitude;
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
+
+/// An assumption that the photographs contradict.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Suspect {
+    /// The lights are distant, and not at the stated distance.
+    Distant,
+    /// The lights are at about this distance from the object's centre, mesh units.
+    Near(f32),
+    /// The pictures hold encoded values, as sRGB's, and not radiance.
+    Encoded,
+    /// The pictures hold values that were decoded twice.
+    Decoded,
+    /// The lobe falls off as slowly as GGX's.
+    LongTails,
+    /// A view does not fit the others; its index.
+    View(usize),
+}
+
+/// An assumption with the fit that changing it gives.
+#[derive(Clone, Copy, Debug)]
+pub struct Suspicion {
+    /// What is wrong.
+    pub suspect: Suspect,
+    /// What the changed fit leaves, as a part of what the unchanged one does.
+    pub leaves: f64,
+    /// Its roughness over the unchanged one's.
+    pub sigma_ratio: f32,
+}
+
+/// Groups of points whose differences are ranked.
+const GROUPS: usize = 32;
+/// Standard deviations of chance by which a change has to win. There are at most eight changes to win by chance.
+const SURE: f64 = 3.0;
+/// Roughnesses that a changed fit starts from, as multiples of the unchanged one's.
+const STARTS: [f32; 3] = [0.75, 1.0, 1.5];
+/// Rounds of improvement of a changed fit, …
+const ROUNDS: usize = 4;
+/// … which one that starts so much worse than the unchanged one is not worth.
+const HOPELESS: f64 = 1.3;
+/// Distances tried, as multiples of the one stated, and of half the object's diagonal where none is.
+const STATED_RADII: [f32; 4] = [0.5, 0.8, 1.25, 2.0];
+const RADII: [f32; 3] = [2.0, 5.0, 12.0];
+/// With fewer views, none can be told to be the odd one.
+const FEWEST_VIEWS: usize = 4;
+/// Exponent of a display's curve.
+const DISPLAY_GAMMA: f32 = 2.2;
+
+/// A change of assumptions, with what it needs.
+struct Change<'a> {
+    suspect: Suspect,
+    observations: &'a Observations,
+    near: Option<(Vec3, f32)>,
+    model: SpecularModel,
+    long_tails: bool,
+}
+
+/// A fit on the coarsest cells: what it leaves of the differences between views, one value a point, and its roughness.
+struct Trial {
+    left: Vec<f64>,
+    sigma: f32,
+}
+
+impl Trial {
+    fn of(state: &State<'_>) -> Self {
+        Self {
+            left: left(state),
+            sigma: state.brdf.sigma,
+        }
+    }
+
+    fn total(&self) -> f64 {
+        self.left.iter().sum()
+    }
+}
+
+/// What a fit leaves at each point, as a part of the differences between views and per degree of freedom, of which a lit cell
+/// and a point's colour take one each.
+fn left(state: &State<'_>) -> Vec<f64> {
+    let observations = state.design.observations;
+    let all = state.dark_residuals().absolute_sum();
+    let rows = observations.rows.len() as f64;
+    let taken = (observations.points.len() + state.lit().len()) as f64;
+    let scale = rows / (rows - taken).max(1.0) / all.max(f64::MIN_POSITIVE);
+    let residuals = &state.residuals.values;
+    let of_point =
+        |rows: Range<usize>| -> f64 { rows.map(|k| f64::from(magnitude(residuals[k]))).sum() };
+    (observations.points.iter())
+        .map(|point| scale * of_point(point.rows.clone()))
+        .collect()
+}
+
+/// By how many standard deviations of chance the second leaves less than the first: Wilcoxon's signed ranks of the differences
+/// between groups of points that follow each other.
+pub fn signed_ranks(first: &[f64], second: &[f64]) -> f64 {
+    let size = first.len().div_ceil(GROUPS).max(1);
+    let sum = |values: &[f64]| values.iter().sum::<f64>();
+    let mut differences: Vec<f64> = (first.chunks(size).zip(second.chunks(size)))
+        .map(|(a, b)| sum(a) - sum(b))
+        .filter(|d| *d != 0.0)
+        .collect();
+    differences.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+    let n = differences.len() as f64;
+    let signed: f64 = (differences.iter().enumerate())
+        .map(|(rank, d)| (rank + 1) as f64 * d.signum())
+        .sum();
+    // The variance of the sum of n signed ranks is n (n + 1) (2n + 1) / 6.
+    signed / (n * (n + 1.0) * (2.0 * n + 1.0) / 6.0).max(1.0).sqrt()
+}
+
+/// Whether a coarse fit's roughness stands out against a rougher and a smoother one: neither of them may do as well in so
+/// many parts of the surface that chance could have decided.
+pub fn determines_roughness(fit: &State<'_>) -> bool {
+    let own = left(fit);
+    let sigma = fit.brdf.sigma;
+    [sigma / STARTS[2], sigma * STARTS[2]]
+        .into_par_iter()
+        .map(|other| signed_ranks(&left(&fit.lit_at(other)), &own))
+        .all(|z| z > SURE)
+}
+
+impl Solver<'_> {
+    /// What the photographs contradict, if there is anything, looked for from a coarse fit of everything as stated.
+    pub fn suspicion(&self, fit: &State<'_>) -> Result<Option<Suspicion>, Stopped> {
+        let colour = self.coarse_colours();
+        let [decoded, encoded] = [DISPLAY_GAMMA, 1.0 / DISPLAY_GAMMA].map(|g| powered(&colour, g));
+        let stated = Change {
+            suspect: Suspect::Distant,
+            observations: &self.coarse,
+            near: self.near,
+            model: fit.brdf.model,
+            long_tails: false,
+        };
+        let Some(own) = self.trial(&stated, fit.brdf.sigma, f64::INFINITY)? else {
+            return Ok(None);
+        };
+        let mut best: Option<Suspicion> = None;
+        for change in self.changes(fit.brdf.model, [&decoded, &encoded]) {
+            let most = HOPELESS * own.total();
+            let Some(trial) = self.trial(&change, fit.brdf.sigma, most)? else {
+                continue;
+            };
+            let leaves = trial.total() / own.total();
+            let less = leaves < best.map_or(1.0, |b| b.leaves);
+            if less && signed_ranks(&own.left, &trial.left) > SURE {
+                best = Some(Suspicion {
+                    suspect: change.suspect,
+                    leaves,
+                    sigma_ratio: trial.sigma / own.sigma,
+                });
+            }
+        }
+        if best.is_none() {
+            best = self.odd_view(fit, &stated)?;
+        }
+        Ok(best)
+    }
+
+    /// The view without which the others are explained better than without any other, by more than chance.
+    fn odd_view(&self, fit: &State<'_>, stated: &Change<'_>) -> Result<Option<Suspicion>, Stopped> {
+        let views = self.seen.views.len();
+        if views < FEWEST_VIEWS {
+            return Ok(None);
+        }
+        let mut without = Vec::with_capacity(views);
+        for view in 0..views {
+            let (observations, rows) = self.coarse.without_view(view);
+            let change = Change {
+                observations: &observations,
+                ..*stated
+            };
+            let Some(state) = self.fitted(&change, fit.brdf.sigma, f64::INFINITY)? else {
+                return Ok(None);
+            };
+            without.push((self.left_in_rows(&state, &rows), state.brdf.sigma));
+        }
+        // What is left in the rows of third views is compared.
+        let third = |one: usize, other: usize, left: &[f64]| -> Vec<f64> {
+            let points = self.coarse.points.iter();
+            let of_point = |rows: Range<usize>| -> f64 {
+                rows.filter(|&k| ![one, other].contains(&self.coarse.rows[k].view))
+                    .map(|k| left[k])
+                    .sum()
+            };
+            points.map(|point| of_point(point.rows.clone())).collect()
+        };
+        let is_odd = |view: usize| {
+            (0..views).filter(|&other| other != view).all(|other| {
+                let own = third(view, other, &without[view].0);
+                signed_ranks(&third(view, other, &without[other].0), &own) > SURE
+            })
+        };
+        let Some(odd) = (0..views).find(|&view| is_odd(view)) else {
+            return Ok(None);
+        };
+        let others = (0..views).filter(|&view| view != odd);
+        let ratio = |view: usize| {
+            let total = |of: usize| third(view, odd, &without[of].0).iter().sum::<f64>();
+            total(odd) / total(view).max(f64::MIN_POSITIVE)
+        };
+        let leaves = others.map(ratio).sum::<f64>() / (views - 1) as f64;
+        Ok(Some(Suspicion {
+            suspect: Suspect::View(odd),
+            leaves,
+            sigma_ratio: without[odd].1 / fit.brdf.sigma,
+        }))
+    }
+
+    /// What a fit to some of the coarse rows leaves in each, none where it has no row; `rows` are their places among all.
+    fn left_in_rows(&self, state: &State<'_>, rows: &[usize]) -> Vec<f64> {
+        let mut left = vec![0.0; self.coarse.rows.len()];
+        for (&k, &residual) in rows.iter().zip(&state.residuals.values) {
+            left[k] = f64::from(magnitude(residual));
+        }
+        left
+    }
+
+    /// All changes of what is stated; `powers` are the observations decoded and encoded.
+    fn changes<'a>(
+        &'a self,
+        model: SpecularModel,
+        powers: [&'a Observations; 2],
+    ) -> Vec<Change<'a>> {
+        let stated = |suspect| Change {
+            suspect,
+            observations: &self.coarse,
+            near: self.near,
+            model,
+            long_tails: false,
+        };
+        let at = |centre, radius| Change {
+            near: Some((centre, radius)),
+            ..stated(Suspect::Near(radius))
+        };
+        let mut changes: Vec<Change<'_>> = if let Some((centre, radius)) = self.near {
+            let distant = Change {
+                near: None,
+                ..stated(Suspect::Distant)
+            };
+            let others = STATED_RADII.map(|factor| at(centre, factor * radius));
+            others.into_iter().chain([distant]).collect()
+        } else {
+            let reach = 0.5 * self.seen.mesh.diagonal();
+            let others = RADII.map(|factor| at(self.grid.centre, factor * reach));
+            others.into_iter().collect()
+        };
+        let models = [SpecularModel::Paper, SpecularModel::Microfacet];
+        for (suspect, observations) in [Suspect::Encoded, Suspect::Decoded].into_iter().zip(powers)
+        {
+            // Which lobe fits depends on what the numbers mean.
+            changes.extend(models.map(|model| Change {
+                observations,
+                model,
+                ..stated(suspect)
+            }));
+        }
+        changes.push(Change {
+            model: SpecularModel::Microfacet,
+            long_tails: true,
+            ..stated(Suspect::LongTails)
+        });
+        changes
+    }
+
+    /// What a fit with a change leaves; nothing where it starts by leaving more than `most`.
+    fn trial(&self, change: &Change<'_>, sigma: f32, most: f64) -> Result<Option<Trial>, Stopped> {
+        let fitted = self.fitted(change, sigma, most)?;
+        Ok(fitted.map(|state| Trial::of(&state)))
+    }
+
+    /// A fit with a change on the coarsest cells; nothing where it starts by leaving more than `most`.
+    fn fitted<'s>(
+        &'s self,
+        change: &Change<'s>,
+        sigma: f32,
+        most: f64,
+    ) -> Result<Option<State<'s>>, Stopped> {
+        let roots = self.pyramid.roots();
+        let mut design = self.design(change.observations, &roots);
+        design.near = change.near;
+        design.long_tails = change.long_tails;
+        let model = change.model;
+        let dark = State::new(design, roots, Brdf { model, sigma });
+        let states: Vec<State<'_>> = (STARTS.into_par_iter())
+            .map(|factor| dark.lit_at(factor * sigma))
+            .collect();
+        if self.stop.load(Ordering::Relaxed) {
+            go_on(ControlFlow::Break(()))?;
+        }
+        let starts = states.into_iter();
+        let best = starts.min_by(|a, b| a.unexplained().total_cmp(&b.unexplained()));
+        let Some(mut state) = best.filter(|state| left(state).iter().sum::<f64>() < most) else {
+            return Ok(None);
+        };
+        self.improve_quietly(&mut state, ROUNDS, ROUGH)?;
+        Ok(Some(state))
+    }
+}
+
+/// Every channel of every row raised to a power, with its detail to match, in gray.
+fn powered(colour: &Observations, exponent: f32) -> Observations {
+    let mut powered = colour.clone();
+    for row in &mut powered.rows {
+        let slope = exponent * magnitude(row.radiance).max(1e-6).powf(exponent - 1.0);
+        row.detail *= slope;
+        row.radiance = row.radiance.map(|v| v.max(0.0).powf(exponent));
+    }
+    powered.to_gray()
+}

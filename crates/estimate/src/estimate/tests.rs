@@ -1,0 +1,517 @@
+//! What the estimation promises as a whole, on a capture with known truth and on made observations.
+
+use std::f32::consts::PI;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::LazyLock;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+use glam::Vec3;
+
+use super::cells::{Cell, Pyramid};
+use super::design::Design;
+use super::observations::{Observations, Point, Row};
+use super::state::{EXACT, State};
+use super::visibility::SeenCells;
+use super::*;
+use rekindle_capture::read_radiance;
+use rekindle_scene::hemisphere::{Lamp, find_lamps};
+
+static NEVER: AtomicBool = AtomicBool::new(false);
+static WORKSPACE: Workspace = Workspace::new();
+static SHORTCUTS: LazyLock<Shortcuts> = LazyLock::new(Shortcuts::default);
+
+fn load() -> Capture {
+    load_named("spot_paper")
+}
+
+fn load_named(name: &str) -> Capture {
+    let captures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/captures");
+    Capture::load(&captures.join(name)).unwrap()
+}
+
+fn run_on(
+    capture: &Capture,
+    method: Method,
+    observer: &mut dyn Observer,
+) -> Result<Estimate, Stopped> {
+    let occluder = Occluder::new(&capture.mesh);
+    let surfaces: Vec<ViewSurface> = capture
+        .views
+        .iter()
+        .map(|v| ViewSurface::new(&capture.mesh, &occluder, &v.camera))
+        .collect();
+    let grid = HemisphereGrid::new(
+        40,
+        capture.light_hemisphere.up.as_vec3(),
+        None,
+        capture.mesh.centre(),
+    );
+    let input = EstimateInput {
+        capture,
+        surfaces: &surfaces,
+        occluder: &occluder,
+        grid: &grid,
+    };
+    let params = EstimateParams {
+        method,
+        ..EstimateParams::default()
+    };
+    estimate(&input, &params, observer)
+}
+
+fn fast(capture: &Capture) -> Estimate {
+    run_on(capture, Method::Fast, &mut Unobserved).unwrap()
+}
+
+/// Whether everything was left to the diffuse part, and the reason given contains `words`.
+fn is_diffuse_only(found: &Estimate, words: &str) {
+    let d = &found.diagnostics;
+    assert!(
+        found.brdf.is_none() && !d.well_posed && !d.specular_found,
+        "{d:?}"
+    );
+    assert!(found.radiance.iter().flatten().all(|&v| v == 0.0), "light");
+    assert!(d.warnings.iter().any(|w| w.contains(words)), "{d:?}");
+}
+
+#[test]
+fn a_single_view_is_left_diffuse() {
+    let mut capture = load();
+    capture.views.truncate(1);
+    is_diffuse_only(&fast(&capture), "single view");
+}
+
+#[test]
+fn views_without_a_common_surface_are_left_diffuse() {
+    let mut capture = load();
+    capture.views.truncate(2);
+    let occluder = Occluder::new(&capture.mesh);
+    let middle = capture.mesh.centre().x;
+    for (view, side) in capture.views.iter_mut().zip([-1.0, 1.0]) {
+        let surface = ViewSurface::new(&capture.mesh, &occluder, &view.camera);
+        for y in 0..surface.height {
+            for x in 0..surface.width {
+                let point = surface.point(&capture.mesh, &view.camera, x, y);
+                let usable = point.is_some_and(|p| side * (p.position.x - middle) > 0.0);
+                Arc::make_mut(&mut view.photograph).usable[(y * surface.width + x) as usize] &=
+                    usable;
+            }
+        }
+    }
+    is_diffuse_only(&fast(&capture), "seen clearly by two views");
+}
+
+#[test]
+fn a_purely_diffuse_object_is_left_diffuse() {
+    let mut capture = load();
+    let folder =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/captures/spot_paper/truth/diffuse");
+    for (i, view) in capture.views.iter_mut().enumerate() {
+        let picture = read_radiance(&folder.join(format!("view_{i:03}.exr"))).unwrap();
+        Arc::make_mut(&mut view.photograph).radiance = picture.2;
+    }
+    is_diffuse_only(&fast(&capture), "No specular part");
+    let reference = run_on(&capture, Method::Amuh, &mut Unobserved).unwrap();
+    is_diffuse_only(&reference, "No specular part");
+}
+
+#[test]
+fn uniform_light_on_a_glossy_object_is_left_diffuse() {
+    let mut capture = load();
+    let occluder = Occluder::new(&capture.mesh);
+    let sky = HemisphereGrid::new(12, Vec3::Y, None, Vec3::ZERO);
+    let brdf = Brdf {
+        model: SpecularModel::Microfacet,
+        sigma: 0.2,
+    };
+    for view in &mut capture.views {
+        let surface = ViewSurface::new(&capture.mesh, &occluder, &view.camera);
+        let eye = view.camera.position().as_vec3();
+        let width = surface.width;
+        let shaded = |pixel: usize| {
+            let (x, y) = (pixel as u32 % width, pixel as u32 / width);
+            let Some(p) = surface.point(&capture.mesh, &view.camera, x, y) else {
+                return [0.0; 3];
+            };
+            let terms = brdf.view_terms(p.normal, (eye - p.position).normalize_or_zero());
+            let sum: f32 = sky
+                .directions
+                .iter()
+                .map(|&l| brdf.lobe(&terms, l) + brdf.lobe(&terms, -l))
+                .sum();
+            let diffuse = 0.4 * brdf.diffuse_transmittance(terms.cos_view());
+            let noise = 1.0 + 0.005 * Random(pixel as u64 * 0x9e37_79b9_7f4a_7c15).normal();
+            [noise * (diffuse + 0.3 * sum * sky.solid_angle); 3]
+        };
+        let radiance = (0..surface.interior.len()).map(shaded).collect();
+        Arc::make_mut(&mut view.photograph).radiance = radiance;
+    }
+    is_diffuse_only(&fast(&capture), "no detail");
+}
+
+#[test]
+fn a_mesh_coarser_than_the_highlights_is_refined() {
+    let capture = load_named("spot_decimated");
+    let found = fast(&capture);
+    let surface = found.refined.as_ref().expect("the mesh is too coarse");
+    assert!(found.diagnostics.well_posed, "{:?}", found.diagnostics);
+    assert_eq!(
+        surface.mesh.triangles.len(),
+        16 * capture.mesh.triangles.len()
+    );
+    let tilt = surface.median_tilt.to_degrees();
+    assert!((1.0..6.0).contains(&tilt), "{tilt}°");
+    // From the truth.json of spot_paper.
+    let sigma = found.brdf.unwrap().sigma;
+    assert!((sigma / 0.085 - 1.0).abs() < 0.05, "{sigma}");
+    let up = capture.light_hemisphere.up.as_vec3();
+    let grid = HemisphereGrid::new(40, up, None, capture.mesh.centre());
+    let lamps = find_lamps(&grid, &found.radiance);
+    for truth in [
+        Vec3::new(-0.619_74, 0.587_79, 0.520_03),
+        Vec3::new(0.405_58, std::f32::consts::FRAC_1_SQRT_2, 0.579_23),
+    ] {
+        let off = lamps[..2]
+            .iter()
+            .map(|lamp| lamp.direction.angle_between(truth).to_degrees())
+            .fold(f32::INFINITY, f32::min);
+        assert!(off < 1.0, "{off}° off");
+    }
+    let all: f32 = lamps.iter().map(Lamp::mean_flux).sum();
+    let strays: f32 = lamps[2..].iter().map(Lamp::mean_flux).sum();
+    assert!(strays < 0.03 * all, "{strays} of {all}");
+}
+
+#[test]
+fn a_sound_mesh_is_kept() {
+    assert!(fast(&load()).refined.is_none());
+}
+
+#[test]
+fn the_scale_of_the_images_only_scales_the_lights() {
+    let capture = load();
+    let reference = fast(&capture);
+    let brightest = reference
+        .radiance
+        .iter()
+        .flatten()
+        .fold(0.0_f32, |m, &v| m.max(v));
+    // Powers of two near 1e-4 and 1e4, so that rounding is the same.
+    for factor in [2.0_f32.powi(-13), 2.0_f32.powi(13)] {
+        let mut scaled = capture.clone();
+        for value in scaled.views.iter_mut().flat_map(|v| {
+            Arc::make_mut(&mut v.photograph)
+                .radiance
+                .iter_mut()
+                .flatten()
+        }) {
+            *value *= factor;
+        }
+        let found = fast(&scaled);
+        let (a, b) = (found.brdf.unwrap(), reference.brdf.unwrap());
+        assert_eq!(a.model, b.model);
+        assert!(
+            (a.sigma / b.sigma - 1.0).abs() < 1e-4,
+            "{} {}",
+            a.sigma,
+            b.sigma
+        );
+        for (x, y) in found
+            .radiance
+            .iter()
+            .flatten()
+            .zip(reference.radiance.iter().flatten())
+        {
+            assert!(
+                (x / factor - y).abs() < 1e-3 * brightest,
+                "{x} at {factor}, {y} at 1"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let capture = load();
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| fast(&capture))
+    };
+    let (one, three) = (with(1), with(3));
+    assert_eq!(one.brdf, three.brdf);
+    assert_eq!(one.sigma_interval95, three.sigma_interval95);
+    assert_eq!(one.radiance, three.radiance);
+}
+
+/// Says stop some time after the first call, and counts the calls that come nevertheless.
+struct StopsAfter {
+    since: Option<Instant>,
+    patience: Duration,
+    stopped: bool,
+    ignored: usize,
+}
+
+impl StopsAfter {
+    fn answer(&mut self) -> ControlFlow<()> {
+        self.ignored += usize::from(self.stopped);
+        let since = *self.since.get_or_insert_with(Instant::now);
+        self.stopped = since.elapsed() >= self.patience;
+        if self.stopped {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    }
+}
+
+impl Observer for StopsAfter {
+    fn progress(&mut self, _: &str, _: f32) -> ControlFlow<()> {
+        self.answer()
+    }
+
+    fn iteration(&mut self, _: &Iteration, _: &dyn Fn() -> Vec<[f32; 3]>) -> ControlFlow<()> {
+        self.answer()
+    }
+}
+
+#[test]
+fn a_stop_at_any_moment_is_heard_once() {
+    let capture = load();
+    for method in [Method::Fast, Method::Amuh, Method::Amhu] {
+        for milliseconds in [0, 1, 7, 23, 60, 140, 310] {
+            let mut observer = StopsAfter {
+                since: None,
+                patience: Duration::from_millis(milliseconds),
+                stopped: false,
+                ignored: 0,
+            };
+            let result = run_on(&capture, method, &mut observer);
+            assert_eq!(
+                observer.stopped,
+                result.is_err(),
+                "{method:?} {milliseconds}"
+            );
+            assert_eq!(observer.ignored, 0, "{method:?} {milliseconds}");
+        }
+    }
+}
+
+/// A reproducible sequence of numbers.
+struct Random(u64);
+
+impl Random {
+    /// Uniform in (0, 1).
+    fn uniform(&mut self) -> f32 {
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        ((self.0 >> 40) as f32 + 0.5) / 16_777_216.0
+    }
+
+    /// Of mean 0 and variance 1.
+    fn normal(&mut self) -> f32 {
+        (-2.0 * self.uniform().ln()).sqrt() * (2.0 * PI * self.uniform()).cos()
+    }
+
+    /// Within `spread` radians of the pole, about.
+    fn direction(&mut self, spread: f32) -> Vec3 {
+        let (x, y) = (spread * self.normal(), spread * self.normal());
+        Vec3::new(x, y, 1.0).normalize_or_zero()
+    }
+}
+
+/// Points of a bumpy plane under six cameras; black so far.
+fn bare_observations(points: usize, random: &mut Random) -> Observations {
+    let cameras: Vec<Vec3> = (0..6)
+        .map(|k| {
+            let a = k as f32 * PI / 3.0;
+            Vec3::new(0.5 * a.cos(), 0.5 * a.sin(), 0.8).normalize_or_zero()
+        })
+        .collect();
+    let mut all = Observations {
+        scale: 1.0,
+        ..Observations::default()
+    };
+    for _ in 0..points {
+        let normal = random.direction(0.25);
+        let first = all.rows.len();
+        all.rows
+            .extend(cameras.iter().enumerate().map(|(view, &to_camera)| Row {
+                view,
+                to_camera,
+                cos_view: normal.dot(to_camera),
+                radiance: [0.0; 3],
+                detail: 0.0,
+            }));
+        all.points.push(Point {
+            position: Vec3::ZERO,
+            normal,
+            on: (0, glam::Vec2::ZERO),
+            rows: first..all.rows.len(),
+        });
+    }
+    all
+}
+
+fn design<'a>(observations: &'a Observations, pyramid: &Pyramid, cells: &[Cell]) -> Design<'a> {
+    Design {
+        observations,
+        geometry: pyramid.geometry(cells),
+        near: None,
+        seen: SeenCells::default(),
+        diffuse_known: false,
+        long_tails: false,
+        shortcuts: &SHORTCUTS,
+        workspace: &WORKSPACE,
+        stop: &NEVER,
+    }
+}
+
+/// A grid with its cells near the pole, and the radiance of two lamps on them.
+fn two_lamps(frequency: u32) -> (Pyramid, Vec<Cell>, Vec<[f32; 3]>) {
+    let grid = HemisphereGrid::new(frequency, Vec3::Z, None, Vec3::ZERO);
+    let pyramid = Pyramid::new(&grid, frequency);
+    let cells: Vec<Cell> = pyramid
+        .roots()
+        .into_iter()
+        .filter(|c| grid.directions[c.node as usize].z > 0.75)
+        .collect();
+    let lamps = [
+        (Vec3::new(0.3, 0.1, 0.9), [60.0, 50.0, 40.0]),
+        (Vec3::new(-0.3, -0.2, 0.9), [20.0, 25.0, 30.0]),
+    ];
+    let radiance = cells
+        .iter()
+        .map(|c| {
+            let d = grid.directions[c.node as usize];
+            let near = |lamp: &&(Vec3, [f32; 3])| d.angle_between(lamp.0) < 0.07;
+            lamps.iter().find(near).map_or([0.0; 3], |lamp| lamp.1)
+        })
+        .collect();
+    (pyramid, cells, radiance)
+}
+
+/// Solves made observations with noise of a known size; σ and its standard error.
+fn fit_with_noise(seed: u64, sigma: f32, noise: f32) -> (f32, f32) {
+    let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    let (pyramid, cells, lamps) = two_lamps(20);
+    let mut observations = bare_observations(250, &mut random);
+    let brdf = Brdf {
+        model: SpecularModel::Paper,
+        sigma,
+    };
+    let specular = design(&observations, &pyramid, &cells)
+        .predict(&brdf, &lamps)
+        .value;
+    let Observations { points, rows, .. } = &mut observations;
+    for point in points.iter() {
+        let diffuse = [0; 3].map(|_| 0.2 + random.uniform());
+        for k in point.rows.clone() {
+            for c in 0..3 {
+                rows[k].radiance[c] = diffuse[c] + specular[k][c] + noise * random.normal();
+            }
+        }
+    }
+    let start = Brdf {
+        sigma: 1.15 * sigma,
+        ..brdf
+    };
+    let observations = observations.to_gray();
+    let mut state = State::new(design(&observations, &pyramid, &cells), cells, start);
+    state.solve_lights(EXACT);
+    for _ in 0..8 {
+        state.reweight();
+        state.solve_lights(EXACT);
+        state.brdf.sigma += state.sigma_step().step as f32;
+    }
+    state.solve_lights(EXACT);
+    let step = state.sigma_step();
+    let error = state.settle_sigma(&step, EXACT);
+    (state.brdf.sigma, error as f32)
+}
+
+#[test]
+fn the_interval_of_sigma_covers_the_truth_as_often_as_it_says() {
+    let sigma = 0.09;
+    let fits: Vec<(f32, f32)> = (1..=60)
+        .map(|seed| fit_with_noise(seed, sigma, 0.02))
+        .collect();
+    let covered = fits
+        .iter()
+        .filter(|(s, e)| (s - sigma).abs() < 1.96 * e)
+        .count();
+    let mean = fits.iter().map(|f| f.0).sum::<f32>() / 60.0;
+    // Of 60 intervals that cover with 95 %, fewer than 51 do so once in a thousand times.
+    assert!(covered >= 51, "{covered} of 60, mean {mean}");
+    // And an interval that says nothing would cover always.
+    assert!(fits.iter().all(|(s, e)| *e < 0.1 * s), "too wide");
+}
+
+#[test]
+fn rows_derivatives_by_sigma_agree_with_finite_differences() {
+    let mut random = Random(5);
+    let observations = bare_observations(40, &mut random);
+    let grid = HemisphereGrid::new(24, Vec3::Z, None, Vec3::ZERO);
+    let pyramid = Pyramid::new(&grid, 11);
+    // Coarse cells, whose extent blurs the lobe.
+    let cells = pyramid.roots();
+    let design = design(&observations, &pyramid, &cells);
+    let radiance = vec![[1.0; 3]; cells.len()];
+    for model in [SpecularModel::Paper, SpecularModel::Microfacet] {
+        let at = |sigma: f32| design.predict(&Brdf { model, sigma }, &radiance);
+        let (low, mid, high) = (at(0.118), at(0.12), at(0.122));
+        for k in 0..observations.rows.len() {
+            let difference = (high.value[k][0] - low.value[k][0]) / 0.004;
+            let analytic = mid.by_sigma[k][0];
+            assert!(
+                (difference - analytic).abs() < 5e-3 * (1.0 + analytic.abs()),
+                "{model:?}: {analytic} against {difference}"
+            );
+        }
+    }
+}
+
+#[test]
+fn small_differences_of_exposure_are_found_with_the_lights() {
+    let capture = load();
+    let factors = [1.008, 0.994, 1.0, 1.01, 0.99, 0.998];
+    let darker = factors.map(|f: f64| f.recip());
+    let found = fast(&registration::evened(&capture, &darker));
+    let mean = factors.iter().sum::<f64>() / factors.len() as f64;
+    assert_eq!(found.exposures.len(), factors.len(), "none found");
+    for (exposure, factor) in found.exposures.iter().zip(factors) {
+        assert!(
+            (exposure / (factor / mean) - 1.0).abs() < 0.002,
+            "{exposure} for {factor}"
+        );
+    }
+    assert!(fast(&capture).exposures.is_empty());
+}
+
+#[test]
+fn noise_is_not_taken_for_lamps() {
+    let clean = load();
+    for seed in 1..=3 {
+        let mut capture = clean.clone();
+        for (i, view) in capture.views.iter_mut().enumerate() {
+            let radiance = &mut Arc::make_mut(&mut view.photograph).radiance;
+            for (k, pixel) in radiance.iter_mut().enumerate() {
+                let place = (seed * 10 + i) * 1_000_000 + k;
+                let mut random = Random(place as u64 * 0x9e37_79b9_7f4a_7c15);
+                *pixel = pixel.map(|v| v * (1.0 + 0.03 * random.normal()));
+            }
+        }
+        let found = fast(&capture);
+        let up = capture.light_hemisphere.up.as_vec3();
+        let grid = HemisphereGrid::new(40, up, None, capture.mesh.centre());
+        let lamps = find_lamps(&grid, &found.radiance);
+        assert_eq!(lamps.len(), 2, "{lamps:?}");
+    }
+}

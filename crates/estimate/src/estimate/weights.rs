@@ -1,0 +1,197 @@
+//! Robust weights of rows and the noise level they imply.
+
+use super::design::{Design, Prediction};
+use rekindle_scene::reflectance::Brdf;
+
+/// Residuals past this many standard deviations lose weight (Huber's constant for 95 % efficiency).
+const HUBER: f32 = 1.345;
+
+/// How much of a row's local image detail counts as interpolation noise.
+const DETAIL_SHARE: f32 = 0.3;
+
+/// What a fit left over, row by row.
+#[derive(Clone, Debug, Default)]
+pub struct Residuals {
+    /// Measured − predicted, RGB, per row, each point's best diffuse colour taken out.
+    pub values: Vec<[f32; 3]>,
+    /// Standard deviation of the noise of a row without image detail, per channel.
+    pub noise: f32,
+}
+
+impl Residuals {
+    /// Sum of the residuals' lengths.
+    pub fn absolute_sum(&self) -> f64 {
+        self.values.iter().map(|&r| f64::from(magnitude(r))).sum()
+    }
+}
+
+/// Standard deviation of a row's noise, per channel.
+pub fn deviation(noise: f32, detail: f32) -> f32 {
+    noise.hypot(DETAIL_SHARE * detail)
+}
+
+/// Root mean square over the channels.
+pub fn magnitude(r: [f32; 3]) -> f32 {
+    (r.iter().map(|c| c * c).sum::<f32>() / 3.0).sqrt()
+}
+
+/// Weights before any fit: by image detail alone, in relation to its median.
+pub fn initial_weights(design: &Design<'_>) -> Vec<f32> {
+    let rows = &design.observations.rows;
+    let mut details: Vec<f32> = rows.iter().map(|r| r.detail).collect();
+    let typical = median(&mut details).max(1e-6);
+    rows.iter()
+        .map(|r| (1.0 + (r.detail / typical).powi(2)).recip())
+        .collect()
+}
+
+/// Residuals of a prediction under the weights that eliminate the diffuse colours.
+pub fn residuals(
+    design: &Design<'_>,
+    brdf: &Brdf,
+    weights: &[f32],
+    prediction: &Prediction,
+) -> Residuals {
+    let mut values = prediction.value.clone();
+    let rows = &design.observations.rows;
+    for point in &design.observations.points {
+        for k in point.rows.clone() {
+            for (value, measured) in values[k].iter_mut().zip(rows[k].radiance) {
+                *value = measured - *value;
+            }
+        }
+        eliminate(
+            brdf,
+            rows[point.rows.clone()].iter().map(|r| r.cos_view),
+            &weights[point.rows.clone()],
+            &mut values[point.rows.clone()],
+        );
+    }
+    let noise = noise_level(design, &values);
+    Residuals { values, noise }
+}
+
+/// Of each of a point's rows, the part of it that goes into the point's diffuse colour, and the part of the diffuse colour
+/// that it shows.
+pub fn transmitted_share(
+    brdf: &Brdf,
+    cosines: impl Iterator<Item = f32>,
+    weights: &[f32],
+) -> Vec<(f32, f32)> {
+    let transmittance: Vec<f32> = cosines.map(|c| brdf.diffuse_transmittance(c)).collect();
+    let total: f32 = weights
+        .iter()
+        .zip(&transmittance)
+        .map(|(w, t)| w * t * t)
+        .sum();
+    let part = if total > 0.0 { total.recip() } else { 0.0 };
+    weights
+        .iter()
+        .zip(&transmittance)
+        .map(|(w, t)| (w * t * part, *t))
+        .collect()
+}
+
+/// Takes the best multiple of the diffuse transmittance out of one point's rows.
+pub fn eliminate(
+    brdf: &Brdf,
+    cosines: impl Iterator<Item = f32>,
+    weights: &[f32],
+    values: &mut [[f32; 3]],
+) {
+    let share = transmitted_share(brdf, cosines, weights);
+    let mut mean = [0.0_f32; 3];
+    for ((into, _), v) in share.iter().zip(values.iter()) {
+        for (m, v) in mean.iter_mut().zip(v) {
+            *m += into * v;
+        }
+    }
+    for ((_, t), v) in share.iter().zip(values.iter_mut()) {
+        for (m, v) in mean.iter().zip(v) {
+            *v -= t * m;
+        }
+    }
+}
+
+/// Noise from the median residual, with the degrees of freedom that the elimination took given back.
+fn noise_level(design: &Design<'_>, residuals: &[[f32; 3]]) -> f32 {
+    let mut magnitudes = Vec::with_capacity(residuals.len());
+    for point in &design.observations.points {
+        let m = point.rows.len() as f32;
+        let correction = (m / (m - 1.0)).sqrt();
+        magnitudes.extend(
+            residuals[point.rows.clone()]
+                .iter()
+                .map(|&r| correction * magnitude(r)),
+        );
+    }
+    // The median of the root mean square of three normal deviates is 0.888 standard deviations.
+    median(&mut magnitudes) / 0.888
+}
+
+/// Huber weights over the variance of each row.
+pub fn robust_weights(design: &Design<'_>, residuals: &Residuals) -> Vec<f32> {
+    let floor = residuals.noise.max(1e-7);
+    design
+        .observations
+        .rows
+        .iter()
+        .zip(&residuals.values)
+        .map(|(row, &r)| {
+            let s = deviation(floor, row.detail);
+            let t = magnitude(r) / s;
+            // Relative to the floor, so that weights are of order one.
+            (floor / s).powi(2) * if t <= HUBER { 1.0 } else { HUBER / t }
+        })
+        .collect()
+}
+
+/// Huber weights about the mean squared residual, of which the second value is, in place of the median: where the model is
+/// wrong for most highlights, the median is of the rows without any and takes all highlights for outliers.
+pub fn mean_weights(design: &Design<'_>, brdf: &Brdf, prediction: &Prediction) -> (Vec<f32>, f64) {
+    const ROUNDS: usize = 3;
+    let mut weights = initial_weights(design);
+    let mut noise = 0.0;
+    for _ in 0..ROUNDS {
+        let left = residuals(design, brdf, &weights, prediction);
+        noise = weighted_rms(&weights, &left);
+        weights = robust_weights(design, &Residuals { noise, ..left });
+    }
+    (weights, f64::from(noise).powi(2).max(1e-14))
+}
+
+/// Huber's objective over all rows in units of the squared scale of the observations, for a given noise level.
+pub fn robust_objective(design: &Design<'_>, residuals: &Residuals, noise: f32) -> f64 {
+    let floor = noise.max(1e-7);
+    design
+        .observations
+        .rows
+        .iter()
+        .zip(&residuals.values)
+        .map(|(row, &r)| {
+            let s = deviation(floor, row.detail);
+            let t = f64::from(magnitude(r) / s);
+            let h = f64::from(HUBER);
+            f64::from(floor * floor) * if t <= h { t * t } else { h * (2.0 * t - h) }
+        })
+        .sum()
+}
+
+/// Weighted root mean square of the residuals, in units of the observations' scale.
+pub fn weighted_rms(weights: &[f32], residuals: &Residuals) -> f32 {
+    let (mut sum, mut total) = (0.0_f64, 0.0_f64);
+    for (&w, &r) in weights.iter().zip(&residuals.values) {
+        sum += f64::from(w * magnitude(r).powi(2));
+        total += f64::from(w);
+    }
+    (sum / total.max(1e-30)).sqrt() as f32
+}
+
+/// The middle value; 0 of nothing. Reorders its input.
+pub fn median(values: &mut [f32]) -> f32 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}

@@ -1,0 +1,220 @@
+//! The pseudo-albedo: diffuse radiance ÷ irradiance under the light of the capture (eq. 20), so that the new diffuse
+//! radiance is pseudo-albedo × new irradiance (eq. 18–19).
+//!
+//! Where no estimated light reaches the surface, or no view saw it, there is nothing to divide: such texels are filled
+//! from their surroundings by diffusion over the mesh, and the confidence says so.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::ambient::{Lit, ambient_irradiance};
+use super::diffuse::DiffuseTexture;
+use super::fill::{Places, fill};
+use super::interreflection::Interreflection;
+use super::irradiance::texel_irradiance;
+use super::render::Scene;
+use super::shading::{Shader, ambient_gain};
+use super::triangle_shares::TriangleShares;
+use rekindle_scene::surface::Atlas;
+
+/// Irradiance below this part of the typical one says nothing about the albedo …
+const DARK: f32 = 0.01;
+/// … and above this part says all.
+const LIT: f32 = 0.06;
+/// Texels less confident than this count as never seen.
+const SEEN: f32 = 0.01;
+
+/// The albedo and the ambient light.
+#[derive(Clone, Debug)]
+pub struct Albedo {
+    /// Pseudo-albedo of each texel, RGB; with `K_S`-scaled light its scale is that of `K_D / K_S`.
+    pub albedo: Vec<[f32; 3]>,
+    /// Ambient radiance, RGB, K_S-scaled.
+    pub ambient: Vec3,
+}
+
+/// Divides the texture by its irradiance, fills what is unknown, and lets `texture` follow: unseen texels get filled
+/// albedo × own irradiance, and the confidence of filled ones is lowered.
+pub fn separate(
+    scene: &Scene,
+    atlas: &Atlas,
+    shader: &Shader,
+    triangles: &TriangleShares,
+    texture: &mut DiffuseTexture,
+) -> Albedo {
+    let mut irradiance = texel_irradiance(scene, atlas, shader, triangles);
+    if let Some(surroundings) = scene.surroundings {
+        add_interreflection(
+            scene,
+            atlas,
+            surroundings.interreflection,
+            texture,
+            &mut irradiance,
+        );
+    }
+    let places = Places::new(scene.mesh);
+    let ambient = add_ambient(scene, atlas, &places, texture, &mut irradiance);
+    let typical = typical_irradiance(atlas, &irradiance);
+    // The quotient at each texel, and how far it is known, 0 to 1.
+    let quotients: Vec<(Vec3, f32)> = atlas
+        .texels
+        .par_iter()
+        .map(|texel| {
+            let t = texel.index as usize;
+            let light = irradiance[t].element_sum() / 3.0;
+            let part = ((light / typical - DARK) / (LIT - DARK)).clamp(0.0, 1.0);
+            if texture.confidence[t] < SEEN || part <= 0.0 {
+                return (Vec3::ZERO, 0.0);
+            }
+            let albedo = quotient(texture.radiance[t].into(), irradiance[t]);
+            (albedo, part * part * (3.0 - 2.0 * part))
+        })
+        .collect();
+    let texels = texture.radiance.len();
+    let mut albedo = vec![Vec3::ZERO; texels];
+    let mut known = vec![0.0_f32; texels];
+    for (texel, (quotient, part)) in atlas.texels.iter().zip(quotients) {
+        albedo[texel.index as usize] = quotient;
+        known[texel.index as usize] = part;
+    }
+    let confidence = &texture.confidence;
+    let weight = |t: usize| known[t] * confidence[t];
+    let filled = fill(scene.mesh, &places, atlas, &albedo, weight);
+    for (texel, fill) in atlas.texels.iter().zip(filled) {
+        let t = texel.index as usize;
+        albedo[t] = albedo[t] * known[t] + fill * (1.0 - known[t]);
+        if texture.confidence[t] < SEEN {
+            texture.radiance[t] = (albedo[t] * irradiance[t]).to_array();
+            texture.confidence[t] = 0.0;
+        } else {
+            texture.confidence[t] *= 0.5 + 0.5 * known[t];
+        }
+    }
+    Albedo {
+        albedo: albedo.iter().map(Vec3::to_array).collect(),
+        ambient,
+    }
+}
+
+/// Radiance ÷ irradiance. A channel in which hardly any light arrives takes what the others say.
+fn quotient(radiance: Vec3, irradiance: Vec3) -> Vec3 {
+    let enough = DARK * irradiance.max_element();
+    let dim = irradiance.cmplt(Vec3::splat(enough));
+    let quotient = radiance / irradiance.max(Vec3::splat(enough));
+    let lit = 3 - dim.bitmask().count_ones();
+    let others = Vec3::select(dim, Vec3::ZERO, quotient).element_sum() / lit as f32;
+    Vec3::select(dim, Vec3::splat(others), quotient)
+}
+
+/// Adds the ambient light's irradiance and returns its radiance. An object without any lamp is taken to be lit by ambient
+/// light alone, its albedo to be one half in the mean: the light's scale is open then.
+fn add_ambient(
+    scene: &Scene,
+    atlas: &Atlas,
+    places: &Places,
+    texture: &DiffuseTexture,
+    irradiance: &mut [Vec3],
+) -> Vec3 {
+    let weight = |t: usize| texture.confidence[t];
+    let radiance = |t: usize| Vec3::from(texture.radiance[t]);
+    let ambient = if irradiance.iter().all(|&e| e == Vec3::ZERO) {
+        let mut mean = Mean::default();
+        for texel in atlas.texels.iter().filter(|t| !t.gutter) {
+            mean.add(radiance(texel.index as usize), weight(texel.index as usize));
+        }
+        Vec3::splat(2.0 * mean.value().element_sum() / 3.0)
+    } else {
+        let both = |t: usize| [radiance(t), irradiance[t]];
+        let lit: Vec<Option<Lit>> = places
+            .gather(scene.mesh, atlas, both, weight)
+            .into_iter()
+            .map(|means| {
+                let [radiance, irradiance] = means?;
+                Some(Lit {
+                    radiance,
+                    irradiance,
+                })
+            })
+            .collect();
+        let typical = typical_irradiance(atlas, irradiance);
+        ambient_irradiance(&lit, &|place| places.around(place), typical)
+    };
+    if ambient != Vec3::ZERO {
+        for texel in &atlas.texels {
+            irradiance[texel.index as usize] += ambient;
+        }
+    }
+    ambient / ambient_gain(scene.brdf)
+}
+
+/// Adds what the surface itself sends: its radiance is known from the pictures, and taken for the mean where it is not.
+fn add_interreflection(
+    scene: &Scene,
+    atlas: &Atlas,
+    interreflection: &Interreflection,
+    texture: &DiffuseTexture,
+    irradiance: &mut [Vec3],
+) {
+    let mut mean = Mean::default();
+    for texel in atlas.texels.iter().filter(|t| !t.gutter) {
+        let t = texel.index as usize;
+        mean.add(texture.radiance[t].into(), texture.confidence[t]);
+    }
+    let radiance: Vec<[f32; 3]> = texture
+        .radiance
+        .iter()
+        .zip(&texture.confidence)
+        .map(|(&r, &c)| if c < SEEN { mean.value().into() } else { r })
+        .collect();
+    let indirect = interreflection.of_radiance(scene.mesh, &|triangle, barycentric| {
+        atlas.sample(&radiance, triangle, barycentric)
+    });
+    let added: Vec<Vec3> = atlas
+        .texels
+        .par_iter()
+        .map(|texel| indirect.at(scene.mesh, texel.triangle, texel.barycentric))
+        .collect();
+    for (texel, added) in atlas.texels.iter().zip(added) {
+        irradiance[texel.index as usize] += added;
+    }
+}
+
+/// A weighted mean.
+#[derive(Default)]
+pub(super) struct Mean {
+    sum: glam::DVec3,
+    weight: f64,
+}
+
+impl Mean {
+    pub(super) fn add(&mut self, value: Vec3, weight: f32) {
+        self.sum += value.as_dvec3() * f64::from(weight);
+        self.weight += f64::from(weight);
+    }
+
+    pub(super) fn value(&self) -> Vec3 {
+        if self.weight > 0.0 {
+            (self.sum / self.weight).as_vec3()
+        } else {
+            Vec3::ZERO
+        }
+    }
+}
+
+/// Mean over channels of the 90th percentile of irradiance: that of a well-lit place.
+fn typical_irradiance(atlas: &Atlas, irradiance: &[Vec3]) -> f32 {
+    let mut values: Vec<f32> = atlas
+        .texels
+        .iter()
+        .filter(|t| !t.gutter)
+        .map(|t| irradiance[t.index as usize].element_sum() / 3.0)
+        .collect();
+    if values.is_empty() {
+        return 1.0;
+    }
+    let at = (values.len() - 1) * 9 / 10;
+    values
+        .select_nth_unstable_by(at, f32::total_cmp)
+        .1
+        .max(f32::MIN_POSITIVE)
+}

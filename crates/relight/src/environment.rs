@@ -1,0 +1,305 @@
+//! Distant environments: a lat-long picture, reduced to a bounded number of light nodes that hold all its flux.
+
+use std::collections::BinaryHeap;
+use std::path::Path;
+
+use glam::{DVec3, Quat, Vec2, Vec3};
+
+use super::lighting::{LampNodes, LightNode};
+use rekindle_capture::read_radiance;
+use rekindle_scene::hemisphere::{direction_from_lat_long, lat_long_from_direction};
+
+/// Larger pictures are averaged down to this many columns first: finer than any lobe needs.
+const MAX_COLUMNS: usize = 1024;
+/// Patches whose visibility is judged as a whole.
+const PATCHES: usize = 96;
+/// Nodes of each patch.
+const NODES_PER_PATCH: usize = 16;
+
+/// A picture of the light from all directions.
+#[derive(Clone, Debug)]
+pub struct LatLong {
+    width: usize,
+    height: usize,
+    /// Radiance row by row from the top.
+    radiance: Vec<Vec3>,
+}
+
+/// A rectangle of pixels with its light.
+#[derive(Clone, Debug)]
+struct Region {
+    rows: [usize; 2],
+    columns: [usize; 2],
+    /// Flux × squared extent: what is gained by a split.
+    gain: f64,
+}
+
+impl PartialEq for Region {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+impl Eq for Region {}
+impl PartialOrd for Region {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Region {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.gain
+            .total_cmp(&other.gain)
+            .then_with(|| self.rows.cmp(&other.rows))
+            .then_with(|| self.columns.cmp(&other.columns))
+    }
+}
+
+impl LatLong {
+    /// Reads an EXR or Radiance HDR picture. The error is a whole sentence that names the file.
+    pub fn load(path: &Path) -> Result<Self, String> {
+        let (width, height, rgb) = read_radiance(path).map_err(|e| e.to_string())?;
+        let radiance: Vec<Vec3> = rgb.iter().map(|&p| Vec3::from(p).max(Vec3::ZERO)).collect();
+        let picture = Self::new(width as usize, height as usize, &radiance);
+        if picture.radiance.iter().any(|r| *r != Vec3::ZERO) {
+            Ok(picture)
+        } else {
+            Err(format!(
+                "{}: the environment is black everywhere; give a picture with light in it",
+                path.display()
+            ))
+        }
+    }
+
+    fn new(width: usize, height: usize, radiance: &[Vec3]) -> Self {
+        let factor = width.div_ceil(MAX_COLUMNS).max(1);
+        let (small_width, small_height) = (width.div_ceil(factor), height.div_ceil(factor));
+        let mut small = Vec::with_capacity(small_width * small_height);
+        for row in 0..small_height {
+            for column in 0..small_width {
+                let mut sum = DVec3::ZERO;
+                let mut count = 0.0;
+                for y in row * factor..((row + 1) * factor).min(height) {
+                    for x in column * factor..((column + 1) * factor).min(width) {
+                        sum += radiance[y * width + x].as_dvec3();
+                        count += 1.0;
+                    }
+                }
+                small.push((sum / count).as_vec3());
+            }
+        }
+        Self {
+            width: small_width,
+            height: small_height,
+            radiance: small,
+        }
+    }
+
+    /// Radiance from a unit direction, RGB.
+    pub fn radiance(&self, direction: Vec3) -> Vec3 {
+        let uv = lat_long_from_direction(direction);
+        let column = ((uv.x * self.width as f32) as usize).min(self.width - 1);
+        let row = ((uv.y * self.height as f32) as usize).min(self.height - 1);
+        self.radiance[row * self.width + column]
+    }
+
+    /// Solid angle of a pixel in a row, sr.
+    fn solid_angle(&self, row: usize) -> f64 {
+        let polar = |r: usize| (std::f64::consts::PI * r as f64 / self.height as f64).cos();
+        (polar(row) - polar(row + 1)) * std::f64::consts::TAU / self.width as f64
+    }
+
+    fn direction(&self, row: usize, column: usize) -> Vec3 {
+        direction_from_lat_long(Vec2::new(
+            (column as f32 + 0.5) / self.width as f32,
+            (row as f32 + 0.5) / self.height as f32,
+        ))
+    }
+
+    /// Flux of a row's pixels in a range of columns, all channels added.
+    fn row_flux(&self, row: usize, columns: [usize; 2]) -> f64 {
+        let pixels = &self.radiance[row * self.width + columns[0]..row * self.width + columns[1]];
+        pixels
+            .iter()
+            .map(|p| f64::from(p.element_sum()))
+            .sum::<f64>()
+            * self.solid_angle(row)
+    }
+
+    fn region(&self, rows: [usize; 2], columns: [usize; 2]) -> Region {
+        let flux: f64 = (rows[0]..rows[1]).map(|r| self.row_flux(r, columns)).sum();
+        let (tall, wide) = self.extent(rows, columns);
+        Region {
+            rows,
+            columns,
+            gain: if rows[1] - rows[0] == 1 && columns[1] - columns[0] == 1 {
+                0.0
+            } else {
+                flux * (tall * tall + wide * wide)
+            },
+        }
+    }
+
+    /// Angular height and width of a region, radians.
+    fn extent(&self, rows: [usize; 2], columns: [usize; 2]) -> (f64, f64) {
+        let pi = std::f64::consts::PI;
+        let middle = pi * (rows[0] + rows[1]) as f64 / (2 * self.height) as f64;
+        (
+            pi * (rows[1] - rows[0]) as f64 / self.height as f64,
+            2.0 * pi * (columns[1] - columns[0]) as f64 / self.width as f64 * middle.sin(),
+        )
+    }
+
+    /// Splits a region across its longer side where half its flux lies on either side.
+    fn split(&self, region: &Region) -> [Region; 2] {
+        let (tall, wide) = self.extent(region.rows, region.columns);
+        let across_rows = region.columns[1] - region.columns[0] == 1
+            || (tall >= wide && region.rows[1] - region.rows[0] > 1);
+        let fluxes: Vec<f64> = if across_rows {
+            (region.rows[0]..region.rows[1])
+                .map(|r| self.row_flux(r, region.columns))
+                .collect()
+        } else {
+            (region.columns[0]..region.columns[1])
+                .map(|c| {
+                    (region.rows[0]..region.rows[1])
+                        .map(|r| self.row_flux(r, [c, c + 1]))
+                        .sum()
+                })
+                .collect()
+        };
+        let half = 0.5 * fluxes.iter().sum::<f64>();
+        let mut sum = 0.0;
+        let before = fluxes
+            .iter()
+            .take_while(|&&f| {
+                sum += f;
+                sum < half
+            })
+            .count();
+        let at = before.clamp(1, fluxes.len() - 1);
+        if across_rows {
+            let cut = region.rows[0] + at;
+            [
+                self.region([region.rows[0], cut], region.columns),
+                self.region([cut, region.rows[1]], region.columns),
+            ]
+        } else {
+            let cut = region.columns[0] + at;
+            [
+                self.region(region.rows, [region.columns[0], cut]),
+                self.region(region.rows, [cut, region.columns[1]]),
+            ]
+        }
+    }
+
+    /// Splits where it gains most until there are `count` regions.
+    fn cut(&self, root: Region, count: usize) -> Vec<Region> {
+        let mut heap = BinaryHeap::from([root]);
+        while heap.len() < count {
+            match heap.pop() {
+                Some(region) if region.gain > 0.0 => heap.extend(self.split(&region)),
+                Some(region) => {
+                    heap.push(region);
+                    break;
+                }
+                None => break,
+            }
+        }
+        heap.into_sorted_vec()
+    }
+
+    fn node(&self, region: &Region, turn: Quat, gain: f32) -> Option<LightNode> {
+        let (mut flux, mut moment, mut solid_angle) = (DVec3::ZERO, DVec3::ZERO, 0.0);
+        for row in region.rows[0]..region.rows[1] {
+            let pixel_solid_angle = self.solid_angle(row);
+            for column in region.columns[0]..region.columns[1] {
+                let pixel = self.radiance[row * self.width + column].as_dvec3() * pixel_solid_angle;
+                flux += pixel;
+                moment += self.direction(row, column).as_dvec3() * pixel.element_sum();
+                solid_angle += pixel_solid_angle;
+            }
+        }
+        let direction = moment.as_vec3().try_normalize()?;
+        Some(LightNode {
+            direction: turn * direction,
+            radiance: (flux / solid_angle).as_vec3() * gain,
+            solid_angle: solid_angle as f32,
+        })
+    }
+
+    /// The environment as patches of neighbouring nodes, turned by `turn`, its radiance times `gain`. Together they
+    /// have the flux of the picture.
+    pub fn patches(&self, turn: Quat, gain: f32) -> Vec<LampNodes> {
+        if gain == 0.0 {
+            return Vec::new();
+        }
+        let whole = self.region([0, self.height], [0, self.width]);
+        self.cut(whole, PATCHES)
+            .into_iter()
+            .filter_map(|patch| {
+                let nodes = self
+                    .cut(patch, NODES_PER_PATCH)
+                    .iter()
+                    .filter_map(|region| self.node(region, turn, gain))
+                    .collect();
+                LampNodes::new(nodes, None)
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(f: impl Fn(Vec3) -> Vec3) -> LatLong {
+        let (width, height) = (128, 64);
+        let radiance: Vec<Vec3> = (0..width * height)
+            .map(|i| {
+                let (row, column) = (i / width, i % width);
+                f(direction_from_lat_long(Vec2::new(
+                    (column as f32 + 0.5) / width as f32,
+                    (row as f32 + 0.5) / height as f32,
+                )))
+            })
+            .collect();
+        LatLong::new(width, height, &radiance)
+    }
+
+    #[test]
+    fn patches_hold_all_flux_on_the_whole_sphere() {
+        let uniform = picture(|_| Vec3::new(1.0, 2.0, 3.0));
+        let patches = uniform.patches(Quat::IDENTITY, 0.5);
+        let flux: Vec3 = patches.iter().map(LampNodes::flux).sum();
+        let sphere = 4.0 * std::f32::consts::PI;
+        let expected = Vec3::new(0.5, 1.0, 1.5) * sphere;
+        assert!(
+            (flux - expected).length() < 1e-3 * expected.length(),
+            "{flux}"
+        );
+        let nodes: usize = patches.iter().map(|p| p.nodes.len()).sum();
+        assert!(nodes <= PATCHES * NODES_PER_PATCH, "{nodes} nodes");
+        // Uniform light has no preferred direction.
+        let moment: Vec3 = patches
+            .iter()
+            .flat_map(|p| &p.nodes)
+            .map(|n| n.direction * n.flux().x)
+            .sum();
+        assert!(moment.length() < 0.02 * flux.x, "{moment}");
+    }
+
+    #[test]
+    fn a_small_sun_stays_small_and_turns_with_the_picture() {
+        let sun = Vec3::new(0.6, 0.64, 0.48);
+        let sky = picture(|d| Vec3::splat(if d.dot(sun) > 0.995 { 1000.0 } else { 1.0 }));
+        let turn = Quat::from_rotation_y(1.0);
+        let brightest = sky
+            .patches(turn, 1.0)
+            .into_iter()
+            .max_by(|a, b| a.flux().x.total_cmp(&b.flux().x))
+            .unwrap();
+        assert!(brightest.direction.angle_between(turn * sun) < 0.1);
+        assert_eq!(sky.radiance(sun), Vec3::splat(1000.0));
+        assert_eq!(sky.radiance(-sun), Vec3::ONE);
+    }
+}

@@ -1,0 +1,194 @@
+//! Fills what no view saw, or no light reached, from its surroundings.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::albedo::Mean;
+use rekindle_capture::Mesh;
+use rekindle_scene::surface::Atlas;
+
+/// Rounds of diffusion at most: each carries values one edge further.
+const MAX_ROUNDS: usize = 400;
+/// Parts in which texels are gathered, each with sums of its own, unless there are too many places for that.
+const PARTS: usize = 4;
+const FEW_PLACES: usize = 500_000;
+
+/// The mesh's vertices by where they are: vertices at one place are one, whatever their normals and texture coordinates.
+pub(super) struct Places {
+    /// Place of each vertex.
+    of: Vec<u32>,
+    /// Places joined to place `i` by an edge: `list[starts[i]..starts[i + 1]]`.
+    starts: Vec<u32>,
+    list: Vec<u32>,
+}
+
+impl Places {
+    pub(super) fn new(mesh: &Mesh) -> Self {
+        let of = mesh.places();
+        let count = of.iter().map(|&w| w as usize + 1).max().unwrap_or(0);
+        let (starts, list) = neighbours(mesh, &of, count);
+        Self { of, starts, list }
+    }
+
+    pub(super) fn count(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Places joined to a place by an edge.
+    pub(super) fn around(&self, place: usize) -> &[u32] {
+        &self.list[self.starts[place] as usize..self.starts[place + 1] as usize]
+    }
+
+    /// Weighted means around each place of the N things that texels have; `None` where they have no weight.
+    pub(super) fn gather<const N: usize>(
+        &self,
+        mesh: &Mesh,
+        atlas: &Atlas,
+        values: impl Fn(usize) -> [Vec3; N] + Sync,
+        weight: impl Fn(usize) -> f32 + Sync,
+    ) -> Vec<Option<[Vec3; N]>> {
+        // The order of the sums is that of the parts, whatever the number of threads.
+        let parts = if self.count() > FEW_PLACES { 1 } else { PARTS };
+        let sums: Vec<Vec<([DVec3; N], f64)>> = (0..parts)
+            .into_par_iter()
+            .map(|part| {
+                let cut = |k: usize| atlas.texels.len() * k / parts;
+                let mut sums = vec![([DVec3::ZERO; N], 0.0_f64); self.count()];
+                for texel in &atlas.texels[cut(part)..cut(part + 1)] {
+                    let t = texel.index as usize;
+                    let w = f64::from(weight(t));
+                    if texel.gutter || w == 0.0 {
+                        continue;
+                    }
+                    let values = values(t).map(Vec3::as_dvec3);
+                    let (u, v) = (texel.barycentric.x, texel.barycentric.y);
+                    let corners = mesh.triangles[texel.triangle as usize];
+                    for (corner, share) in corners.into_iter().zip([1.0 - u - v, u, v]) {
+                        let (sum, total) = &mut sums[self.of[corner as usize] as usize];
+                        let w = w * f64::from(share.max(0.0));
+                        for (sum, value) in sum.iter_mut().zip(values) {
+                            *sum += value * w;
+                        }
+                        *total += w;
+                    }
+                }
+                sums
+            })
+            .collect();
+        (0..self.count())
+            .into_par_iter()
+            .map(|place| {
+                let total: f64 = sums.iter().map(|part| part[place].1).sum();
+                let mean = |k: usize| {
+                    let sum: DVec3 = sums.iter().map(|part| part[place].0[k]).sum();
+                    (sum / total).as_vec3()
+                };
+                (total > 1e-6).then(|| std::array::from_fn(mean))
+            })
+            .collect()
+    }
+}
+
+/// For every entry of `atlas.texels`, what its surroundings say about its albedo: known values are gathered at the
+/// vertices, spread over the mesh's edges to those without, and interpolated.
+pub(super) fn fill(
+    mesh: &Mesh,
+    places: &Places,
+    atlas: &Atlas,
+    albedo: &[Vec3],
+    weight: impl Fn(usize) -> f32 + Sync,
+) -> Vec<Vec3> {
+    let gathered = places.gather(mesh, atlas, |t| [albedo[t]], &weight);
+    let mut value: Vec<Option<Vec3>> = gathered.into_iter().map(|v| v.map(|[v]| v)).collect();
+    let mut mean = Mean::default();
+    for texel in atlas.texels.iter().filter(|t| !t.gutter) {
+        let t = texel.index as usize;
+        mean.add(albedo[t], weight(t));
+    }
+    let mean = mean.value();
+    let fixed: Vec<bool> = value.iter().map(Option::is_some).collect();
+    diffuse_over_edges(places, &mut value, &fixed);
+    atlas
+        .texels
+        .par_iter()
+        .map(|texel| {
+            let (u, v) = (
+                texel.barycentric.x.clamp(0.0, 1.0),
+                texel.barycentric.y.clamp(0.0, 1.0),
+            );
+            let corners = mesh.triangles[texel.triangle as usize];
+            let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+            for (corner, share) in corners.into_iter().zip([(1.0 - u - v).max(0.0), u, v]) {
+                if let Some(value) = value[places.of[corner as usize] as usize] {
+                    sum += value * share;
+                    total += share;
+                }
+            }
+            if total > 1e-6 { sum / total } else { mean }
+        })
+        .collect()
+}
+
+/// Places joined by an edge, in compressed rows.
+fn neighbours(mesh: &Mesh, welded: &[u32], places: usize) -> (Vec<u32>, Vec<u32>) {
+    let mut edges: Vec<(u32, u32)> = Vec::with_capacity(6 * mesh.triangles.len());
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|v| welded[v as usize]);
+        edges.extend([(a, b), (b, a), (b, c), (c, b), (c, a), (a, c)]);
+    }
+    edges.par_sort_unstable();
+    edges.dedup();
+    let mut starts = vec![0_u32; places + 1];
+    for &(from, _) in &edges {
+        starts[from as usize + 1] += 1;
+    }
+    for i in 0..places {
+        starts[i + 1] += starts[i];
+    }
+    (starts, edges.into_iter().map(|(_, to)| to).collect())
+}
+
+/// Spreads values from the fixed places: first outwards, ring by ring, then smoothed towards the mean of neighbours.
+fn diffuse_over_edges(places: &Places, value: &mut [Option<Vec3>], fixed: &[bool]) {
+    let mean = |value: &[Option<Vec3>], p: usize| {
+        let known: Vec<Vec3> = places
+            .around(p)
+            .iter()
+            .filter_map(|&n| value[n as usize])
+            .collect();
+        (!known.is_empty()).then(|| known.iter().sum::<Vec3>() / known.len() as f32)
+    };
+    let mut open: Vec<u32> = (0..value.len() as u32)
+        .filter(|&p| !fixed[p as usize])
+        .collect();
+    let free = open.clone();
+    while !open.is_empty() {
+        let reached: Vec<(u32, Vec3)> = open
+            .par_iter()
+            .filter_map(|&p| mean(value, p as usize).map(|v| (p, v)))
+            .collect();
+        if reached.is_empty() {
+            // What is left hangs together with nothing known.
+            break;
+        }
+        for (p, v) in reached {
+            value[p as usize] = Some(v);
+        }
+        open.retain(|&p| value[p as usize].is_none());
+    }
+    for _ in 0..MAX_ROUNDS {
+        let smoothed: Vec<Option<Vec3>> =
+            free.par_iter().map(|&p| mean(value, p as usize)).collect();
+        let mut change = 0.0_f32;
+        for (&p, v) in free.iter().zip(smoothed) {
+            let old = value[p as usize];
+            if let (Some(new), Some(old)) = (v, old) {
+                change = change.max((new - old).abs().max_element() / old.max_element().max(1e-30));
+            }
+            value[p as usize] = v.or(old);
+        }
+        if change < 1e-3 {
+            break;
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! Irradiance of every texel under a lighting.
+//!
+//! Most triangles tell what their texels see of each lamp ([`TriangleShares`]). On the others texels cast rays: every eighth
+//! one in both directions, those between only where their neighbours differ by more than a smooth penumbra does.
+
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::render::Scene;
+use super::shading::{Shader, ShadingPoint, Visibility};
+use super::triangle_shares::{Shares, TriangleShares, between};
+use rekindle_scene::surface::{Atlas, Texel};
+
+/// Texels along each side of a tile, the unit of work: whole steps of the coarsest stride.
+const TILE: usize = 32;
+/// Texels of a grid this wide are looked at first …
+const FIRST_STRIDE: usize = 8;
+/// … then those half as far apart and so on to all, with how much the shares of the texels around them may differ for
+/// them to take their mean. The error of that grows with the square of the distance.
+const STRIDES: [(usize, f32); 4] = [(FIRST_STRIDE, 0.0), (4, 0.03), (2, 0.12), (1, 0.3)];
+/// A texel takes the mean of others where their normals' cosine is above this …
+const SAME_SURFACE_COS: f32 = 0.8;
+/// … and they are no further away than this many typical distances for each step.
+const SAME_SURFACE: f32 = 4.0;
+
+/// Irradiance of every texel by the light of `shader`, zero outside the atlas. `triangles` tells what these see of it.
+pub fn texel_irradiance(
+    scene: &Scene,
+    atlas: &Atlas,
+    shader: &Shader,
+    triangles: &TriangleShares,
+) -> Vec<Vec3> {
+    let (width, height) = (atlas.width as usize, atlas.height as usize);
+    let shares_of = |texel: &Texel| triangles.of(texel.triangle);
+    // Texels whose triangles tell all at once; the others are left for their tiles.
+    let first: Vec<Option<Vec3>> = atlas
+        .texels
+        .par_iter()
+        .map_with(Vec::new(), |seen, texel| {
+            seen.clear();
+            for shares in shares_of(texel)? {
+                seen.push(Visibility::Fraction(between((*shares)?, texel.barycentric)));
+            }
+            let point = ShadingPoint::on(scene.mesh, texel.triangle, texel.barycentric);
+            Some(shader.irradiance(&point, seen))
+        })
+        .collect();
+    let mut irradiance = vec![Vec3::ZERO; width * height];
+    // Index of each texel in the atlas' list, plus one, and which are left.
+    let mut listed: Vec<u32> = vec![0; width * height];
+    let mut left = vec![false; width * height];
+    for (i, (value, texel)) in first.into_iter().zip(&atlas.texels).enumerate() {
+        listed[texel.index as usize] = i as u32 + 1;
+        match value {
+            Some(value) => irradiance[texel.index as usize] = value,
+            None => left[texel.index as usize] = true,
+        }
+    }
+    let spacing = texel_spacing(scene, atlas);
+    let columns = width.div_ceil(TILE);
+    let tiles: Vec<Vec<(usize, Vec3)>> = (0..columns * height.div_ceil(TILE))
+        .into_par_iter()
+        .map(|tile| {
+            let (x, y) = (tile % columns * TILE, tile / columns * TILE);
+            // The first texels of the tiles beside it tell of those between.
+            let (w, h) = ((TILE + 1).min(width - x), (TILE + 1).min(height - y));
+            let at = |i: usize| (y + i / w) * width + x + i % w;
+            let own = |i: usize| i % w < TILE && i / w < TILE;
+            let wanted: Vec<bool> = (0..w * h).map(|i| own(i) && left[at(i)]).collect();
+            if wanted.iter().all(|w| !w) {
+                return Vec::new();
+            }
+            let texels: Vec<Option<&Texel>> = (0..w * h)
+                .map(|i| Some(&atlas.texels[listed[at(i)].checked_sub(1)? as usize]))
+                .collect();
+            let tile = Tile {
+                points: texels
+                    .iter()
+                    .map(|t| t.map(|t| ShadingPoint::on(scene.mesh, t.triangle, t.barycentric)))
+                    .collect(),
+                known: texels
+                    .iter()
+                    .map(|t| t.and_then(|t| Some((shares_of(t)?, t.barycentric))))
+                    .collect(),
+                wanted,
+                size: [w, h],
+                spacing,
+                shader,
+            };
+            let values = tile.irradiance();
+            values.into_iter().map(|(i, e)| (at(i), e)).collect()
+        })
+        .collect();
+    for (index, value) in tiles.into_iter().flatten() {
+        irradiance[index] = value;
+    }
+    irradiance
+}
+
+/// A rectangle of texels, some of which are looked at one by one.
+struct Tile<'a> {
+    points: Vec<Option<ShadingPoint>>,
+    /// What their triangles tell, with their barycentric weights.
+    known: Vec<Option<(&'a [Shares], Vec2)>>,
+    /// Texels whose irradiance is asked for.
+    wanted: Vec<bool>,
+    size: [usize; 2],
+    /// Typical distance of neighbouring texels.
+    spacing: f32,
+    shader: &'a Shader<'a>,
+}
+
+/// Seen part of a lamp at a texel.
+#[derive(Clone, Copy, PartialEq)]
+enum Seen {
+    /// Not looked at.
+    Unknown,
+    /// The lamp is behind the surface.
+    Below,
+    /// This share of what is above the horizon.
+    Share(f32),
+}
+
+impl Tile<'_> {
+    /// Index and irradiance of each of the wanted texels.
+    fn irradiance(&self) -> Vec<(usize, Vec3)> {
+        let groups: Vec<Vec<Seen>> = (0..self.shader.groups()).map(|g| self.seen(g)).collect();
+        (0..self.points.len())
+            .filter(|&i| self.wanted[i])
+            .filter_map(|i| {
+                let point = self.points[i].as_ref()?;
+                let seen: Vec<Visibility> = groups
+                    .iter()
+                    .map(|seen| match seen[i] {
+                        Seen::Share(share) => Visibility::Fraction(share),
+                        Seen::Unknown | Seen::Below => Visibility::Below,
+                    })
+                    .collect();
+                Some((i, self.shader.irradiance(point, &seen)))
+            })
+            .collect()
+    }
+
+    /// What each wanted texel sees of a lamp, and others that tell of them.
+    fn seen(&self, group: usize) -> Vec<Seen> {
+        let [width, height] = self.size;
+        let mut seen = vec![Seen::Unknown; self.points.len()];
+        let smooth = !self.shader.is_sharp(group);
+        for (stride, max_step) in STRIDES {
+            let max_step = if smooth { 1.0 } else { max_step };
+            for y in (0..height).step_by(stride) {
+                for x in (0..width).step_by(stride) {
+                    let i = y * width + x;
+                    if seen[i] != Seen::Unknown || !self.is_of_use([x, y], stride) {
+                        continue;
+                    }
+                    let Some(point) = &self.points[i] else {
+                        continue;
+                    };
+                    seen[i] = self
+                        .told(i, group)
+                        .or_else(|| {
+                            let around = (stride < FIRST_STRIDE).then_some(2 * stride)?;
+                            self.between(&seen, [x, y], around, max_step)
+                        })
+                        .or_else(|| self.shader.seen_share(point, group))
+                        .map_or(Seen::Below, Seen::Share);
+                }
+            }
+        }
+        seen
+    }
+
+    /// Whether a texel of a stride is wanted or has one around it that is.
+    fn is_of_use(&self, [x, y]: [usize; 2], stride: usize) -> bool {
+        let [width, height] = self.size;
+        let reach = stride - 1;
+        (y.saturating_sub(reach)..(y + reach + 1).min(height)).any(|y| {
+            (x.saturating_sub(reach)..(x + reach + 1).min(width))
+                .any(|x| self.wanted[y * width + x])
+        })
+    }
+
+    /// What a texel's triangle tells of a lamp's share.
+    fn told(&self, i: usize, group: usize) -> Option<f32> {
+        let (shares, barycentric) = self.known[i]?;
+        Some(between(shares[group]?, barycentric))
+    }
+
+    /// The mean of the texels around that are on the grid of a stride, if they differ by no more than `max_step`.
+    fn between(
+        &self,
+        seen: &[Seen],
+        [x, y]: [usize; 2],
+        stride: usize,
+        max_step: f32,
+    ) -> Option<f32> {
+        let [width, height] = self.size;
+        let point = self.points[y * width + x].as_ref()?;
+        let ends = |at: usize| [at - at % stride, at.next_multiple_of(stride)];
+        let reach = SAME_SURFACE * self.spacing * 0.5 * stride as f32;
+        let (mut low, mut high, mut sum) = (f32::INFINITY, 0.0_f32, 0.0);
+        for ny in ends(y) {
+            for nx in ends(x) {
+                if nx >= width || ny >= height {
+                    return None;
+                }
+                let Seen::Share(share) = seen[ny * width + nx] else {
+                    return None;
+                };
+                let corner = self.points[ny * width + nx].as_ref()?;
+                if corner.normal.dot(point.normal) < SAME_SURFACE_COS
+                    || corner.position.distance(point.position) > reach
+                {
+                    return None;
+                }
+                (low, high) = (low.min(share), high.max(share));
+                sum += share;
+            }
+        }
+        (high - low <= max_step).then_some(sum / 4.0)
+    }
+}
+
+/// Mean distance of neighbouring texels on the surface.
+fn texel_spacing(scene: &Scene, atlas: &Atlas) -> f32 {
+    let area: f64 = (0..scene.mesh.triangles.len() as u32)
+        .map(|t| {
+            let [a, b, c] = scene.mesh.corners(t);
+            0.5 * f64::from((b - a).cross(c - a).length())
+        })
+        .sum();
+    let inside = atlas.texels.iter().filter(|t| !t.gutter).count();
+    (area / inside.max(1) as f64).sqrt() as f32
+}

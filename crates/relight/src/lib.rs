@@ -1,0 +1,37 @@
+//! New light on the object: lighting and its edits, shading, the textures that relighting needs, and the reference
+//! renderer.
+
+mod albedo;
+mod ambient;
+mod best_views;
+mod diffuse;
+mod edits;
+mod environment;
+mod fill;
+mod footprints;
+mod interreflection;
+mod irradiance;
+mod lighting;
+mod measure;
+mod patches;
+mod reflection;
+mod render;
+mod samples;
+mod shading;
+mod triangle_shares;
+mod view_transform;
+
+pub use albedo::{Albedo, separate};
+pub use diffuse::{DiffuseTexture, ViewFit, reconstruct, srgb};
+pub use edits::{Edit, EditError, apply, load};
+pub use environment::LatLong;
+pub use interreflection::{Field, Interreflection, Relit};
+pub use irradiance::texel_irradiance;
+pub use lighting::{LampNodes, LightNode, Lighting};
+pub use measure::psnr;
+pub use reflection::Surroundings;
+pub use render::{Band, Diffuse, Picture, Scene, Stop, render, render_bands};
+pub use samples::{Sample, Samples};
+pub use shading::{Shade, Shader, ShadingPoint, Visibility};
+pub use triangle_shares::TriangleShares;
+pub use view_transform::{ViewTransform, luminance, turbo};

@@ -1,0 +1,877 @@
+//! How a surface point looks under a lighting: specular radiance (eq. 7) and irradiance (the sums of eq. 18–19).
+//!
+//! * specular = Σ M L ω a · lobe(n, l, v), the lobe of [`Brdf`] with its 1/cos θᵣ inside;
+//! * irradiance = Σ M L ω a · max(0, cos θᵢ) T(cos θᵢ), T the diffuse transmittance of [`Brdf`];
+//!
+//! over the nodes of all lamps. a = (R/|p − x|)² is the fall-off of a node at the finite distance R (1 for distant
+//! light), M ∈ {0, 1} whether a ray from the surface reaches the node. Light from behind the shading normal or
+//! behind the triangle's plane contributes nothing. Interreflection is added elsewhere.
+//!
+//! A lamp is many nodes, and most points see either all of them or none: a few probes at its rim and centre tell, and
+//! only where they disagree (the penumbra) every node has its ray. On a grid of neighbouring points even the
+//! probes are cast for every fourth point only; see [`Shader::visibility`].
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use glam::{Mat2, Vec2, Vec3};
+use smallvec::SmallVec;
+
+use super::lighting::{LampNodes, LightNode, Lighting};
+use super::patches::{self, patches};
+use rekindle_capture::Mesh;
+use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::surface::Occluder;
+
+/// Lobes are cut where they have fallen to this part of their peak.
+const LOBE_CUTOFF: f32 = 1e-5;
+/// Distance, in points of a grid, between those that cast probes.
+const STRIDE: usize = 4;
+/// Neighbouring points share visibility where their normals' cosine is above this …
+const SAME_SURFACE_COS: f32 = 0.8;
+/// … and they are no further apart than this many grid spacings per step.
+const SAME_SURFACE_STEPS: f32 = 4.0;
+/// An environment's patch that is brighter than this part of the whole light and smaller than
+/// [`SHARP_REACH`] casts shadows with edges.
+const SHARP_SHARE: f32 = 0.02;
+const SHARP_REACH: f32 = 0.12;
+/// Lamps of at least this many nodes send scouts ahead …
+const MANY_NODES: usize = 24;
+/// … this many.
+const SCOUTS: usize = 12;
+/// Rays per patch of an environment.
+const SOFT_RAYS: usize = 4;
+/// A lobe of roughness σ does not resolve a lamp of an angular radius below this part of σ |l + v|: the half vector turns
+/// by the radius over |l + v|.
+const UNRESOLVED: f32 = 0.6;
+/// Lamps of a smaller angular radius (radians) are small for the cosine of an irradiance.
+const UNRESOLVED_BY_COSINE: f32 = 0.2;
+
+/// A surface point to be shaded.
+#[derive(Clone, Copy, Debug)]
+pub struct ShadingPoint {
+    /// World position.
+    pub position: Vec3,
+    /// Unit shading normal.
+    pub normal: Vec3,
+    /// Unit normal of the triangle's plane.
+    pub face_normal: Vec3,
+}
+
+impl ShadingPoint {
+    /// The point of a triangle at the weights of its second and third corner.
+    pub fn on(mesh: &Mesh, triangle: u32, barycentric: Vec2) -> Self {
+        let point = mesh.point(triangle, barycentric);
+        let face_normal = mesh.face_normal(triangle);
+        Self {
+            position: point.position,
+            normal: point.normal,
+            face_normal: if face_normal == Vec3::ZERO {
+                point.normal
+            } else {
+                face_normal
+            },
+        }
+    }
+}
+
+/// How much of a lamp a point sees, its own horizon aside.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Visibility {
+    /// The lamp is behind the surface.
+    Below,
+    /// Something hides all of it.
+    Hidden,
+    /// All of it.
+    Whole,
+    /// These nodes: one bit a node.
+    Part(Box<[u64]>),
+    /// This fraction of a patch of an environment.
+    Fraction(f32),
+}
+
+impl Visibility {
+    /// Part of `nodes` nodes that is seen, for comparing neighbours.
+    pub fn share(&self, nodes: usize) -> f32 {
+        match self {
+            Self::Below | Self::Hidden => 0.0,
+            Self::Whole => 1.0,
+            Self::Part(bits) => {
+                bits.iter().map(|w| w.count_ones()).sum::<u32>() as f32 / nodes.max(1) as f32
+            }
+            Self::Fraction(f) => *f,
+        }
+    }
+}
+
+/// What arrives at and leaves a point.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Shade {
+    /// Specular radiance towards the viewer, RGB.
+    pub specular: Vec3,
+    /// Irradiance as the diffuse part sees it, RGB: Lambert's cosine and the transmittance inside.
+    pub irradiance: Vec3,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    /// Unit direction, or the node's position where it is near.
+    place: Vec3,
+    flux: Vec3,
+}
+
+/// A lamp prepared for shading.
+#[derive(Clone, Debug)]
+struct Group {
+    nodes: Vec<Node>,
+    /// A few nodes that shine as all of them do, as long as a lobe does not resolve them.
+    few: Vec<Node>,
+    /// Squared distance from the centre, for near lamps.
+    near: Option<f32>,
+    /// Unit direction or position of its middle.
+    axis: Vec3,
+    /// Angular radius about the middle seen from the centre, radians.
+    reach: f32,
+    /// Nodes that tell whether the lamp is seen.
+    probes: Vec<usize>,
+    /// Nodes spread over a lamp of many.
+    scouts: Vec<usize>,
+    /// For every node of a lamp with scouts the three of them that are nearest.
+    among: Vec<[u8; 3]>,
+    /// Σ flux × direction for each channel, of a distant lamp.
+    moment: [Vec3; 3],
+    /// Visibility is a fraction that varies smoothly.
+    soft: bool,
+}
+
+/// A lighting prepared for shading a mesh.
+pub struct Shader<'a> {
+    occluder: &'a Occluder,
+    brdf: Option<Brdf>,
+    groups: Vec<Group>,
+    /// Irradiance by the ambient part.
+    ambient: Vec3,
+    support: Support,
+    /// Once set, nothing more is computed.
+    stop: Option<&'a AtomicBool>,
+}
+
+impl Group {
+    fn new(lamp: &LampNodes, centre: Vec3, role: Role) -> Option<Self> {
+        let lit: Vec<_> = lamp
+            .nodes
+            .iter()
+            .filter(|n| n.flux() != Vec3::ZERO)
+            .collect();
+        if lit.is_empty() || lamp.muted {
+            return None;
+        }
+        let place = |direction: Vec3| lamp.radius.map_or(direction, |r| centre + r * direction);
+        let nodes: Vec<Node> = lit
+            .iter()
+            .map(|n| Node {
+                place: place(n.direction),
+                flux: n.flux(),
+            })
+            .collect();
+        let reach = patches::reach(lamp);
+        let directions: Vec<Vec3> = lit.iter().map(|n| n.direction).collect();
+        let soft = role != Role::Lamp;
+        let probes = match role {
+            Role::Patch => innermost(&directions, lamp.direction).into_iter().collect(),
+            Role::Environment => {
+                let count = SOFT_RAYS.min(nodes.len());
+                (0..count).map(|i| i * nodes.len() / count).collect()
+            }
+            Role::Lamp => {
+                let mut probes = extremal(&directions, lamp.direction);
+                probes.sort_unstable();
+                probes.dedup();
+                probes
+            }
+        };
+        let (scouts, among) = if soft || directions.len() < MANY_NODES {
+            (Vec::new(), Vec::new())
+        } else {
+            scouts(&directions)
+        };
+        let mut moment = [Vec3::ZERO; 3];
+        for n in &lit {
+            for (channel, m) in moment.iter_mut().enumerate() {
+                *m += n.direction * n.flux()[channel];
+            }
+        }
+        let few = if role == Role::Patch {
+            vec![Node {
+                place: place(lamp.direction),
+                flux: lamp.flux(),
+            }]
+        } else if nodes.len() < MANY_NODES {
+            nodes.clone()
+        } else {
+            stand_ins(&lit, lamp.direction)
+                .into_iter()
+                .map(|(direction, flux)| Node {
+                    place: place(direction),
+                    flux,
+                })
+                .collect()
+        };
+        Some(Self {
+            nodes,
+            few,
+            near: lamp.radius.map(|r| r * r),
+            axis: place(lamp.direction),
+            reach,
+            probes,
+            scouts,
+            among,
+            moment,
+            soft,
+        })
+    }
+
+    /// Unit direction from a surface point to a place of this group, fall-off and distance.
+    #[inline]
+    fn towards(&self, place: Vec3, from: Vec3) -> (Vec3, f32, f32) {
+        match self.near {
+            None => (place, 1.0, f32::INFINITY),
+            Some(squared_radius) => {
+                let offset = place - from;
+                // A node inside the object would blow up: nothing comes nearer than a tenth of the radius.
+                let squared = offset.length_squared().max(0.01 * squared_radius);
+                let distance = squared.sqrt();
+                (offset / distance, squared_radius / squared, distance)
+            }
+        }
+    }
+
+    /// Largest angle between the axis and a node, seen from a surface point; radians.
+    #[inline]
+    fn reach_from(&self, falloff: f32) -> f32 {
+        // Seen from nearer, a lamp is larger by the root of its fall-off; a tenth more as the nodes' own
+        // distances differ.
+        if self.near.is_some() {
+            self.reach * falloff.sqrt() * 1.1
+        } else {
+            self.reach
+        }
+    }
+
+    /// The nodes to add up at a point: a few for all where these are seen alike and, but for patches, above the horizon,
+    /// unless the distances between them matter.
+    fn standing_for(&self, point: &ShadingPoint, seen: &Visibility, resolved: bool) -> &[Node] {
+        let is_cut = || self.horizon(point) != Horizon::Above;
+        if resolved || matches!(seen, Visibility::Part(_)) || !self.soft && is_cut() {
+            &self.nodes
+        } else {
+            &self.few
+        }
+    }
+
+    fn horizon(&self, point: &ShadingPoint) -> Horizon {
+        let (axis, falloff, _) = self.towards(self.axis, point.position);
+        let height = axis.dot(point.normal).min(axis.dot(point.face_normal));
+        let reach = self
+            .reach_from(falloff)
+            .min(std::f32::consts::FRAC_PI_2)
+            .sin();
+        if height > reach {
+            Horizon::Above
+        } else if height < -reach {
+            Horizon::Below
+        } else {
+            Horizon::Across
+        }
+    }
+}
+
+/// What a group of nodes is.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Role {
+    /// A lamp, whose shadows have edges.
+    Lamp,
+    /// A patch of an environment, of which a point sees a fraction that varies smoothly.
+    Environment,
+    /// A patch of a wide lamp, the same, and one of so many beside each other that one ray and one direction do for each.
+    Patch,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Horizon {
+    Above,
+    Across,
+    Below,
+}
+
+/// The nodes furthest out in four directions around the axis, and the innermost.
+fn extremal(directions: &[Vec3], axis: Vec3) -> Vec<usize> {
+    let (tangent, bitangent) = axis.any_orthonormal_pair();
+    let furthest = |score: &dyn Fn(Vec3) -> f32| {
+        (0..directions.len()).max_by(|&a, &b| score(directions[a]).total_cmp(&score(directions[b])))
+    };
+    let mut probes: Vec<usize> = (0..4)
+        .filter_map(|k| {
+            let (sin, cos) = (k as f32 * std::f32::consts::FRAC_PI_2).sin_cos();
+            furthest(&|d| d.dot(tangent * cos + bitangent * sin))
+        })
+        .collect();
+    probes.extend(innermost(directions, axis));
+    probes
+}
+
+/// The node nearest to the axis.
+fn innermost(directions: &[Vec3], axis: Vec3) -> Option<usize> {
+    let towards = |k: usize| directions[k].dot(axis);
+    (0..directions.len()).max_by(|&a, &b| towards(a).total_cmp(&towards(b)))
+}
+
+/// Nodes spread as far apart as they can be, the next always furthest from those before, and for every node the three
+/// nearest of them.
+fn scouts(directions: &[Vec3]) -> (Vec<usize>, Vec<[u8; 3]>) {
+    let mut scouts = vec![0];
+    let mut distance: Vec<f32> = directions
+        .iter()
+        .map(|d| d.distance_squared(directions[0]))
+        .collect();
+    while scouts.len() < SCOUTS {
+        let furthest = (0..distance.len())
+            .max_by(|&a, &b| distance[a].total_cmp(&distance[b]))
+            .unwrap_or(0);
+        scouts.push(furthest);
+        for (d, direction) in distance.iter_mut().zip(directions) {
+            *d = d.min(direction.distance_squared(directions[furthest]));
+        }
+    }
+    let among = directions
+        .iter()
+        .map(|direction| {
+            let mut order: Vec<u8> = (0..SCOUTS as u8).collect();
+            let away = |s: u8| directions[scouts[usize::from(s)]].distance_squared(*direction);
+            order.sort_by(|&a, &b| away(a).total_cmp(&away(b)));
+            [order[0], order[1], order[2]]
+        })
+        .collect();
+    (scouts, among)
+}
+
+impl<'a> Shader<'a> {
+    /// Prepares a lighting.
+    pub fn new(occluder: &'a Occluder, brdf: Option<Brdf>, lighting: &Lighting) -> Self {
+        let mut groups = Vec::new();
+        for lamp in &lighting.lamps {
+            let patches = patches(lamp, patch_reach(brdf));
+            let (parts, role) = if patches.is_empty() {
+                (std::slice::from_ref(lamp), Role::Lamp)
+            } else {
+                (&patches[..], Role::Patch)
+            };
+            let parts = parts.iter();
+            groups.extend(parts.filter_map(|part| Group::new(part, lighting.centre, role)));
+        }
+        // Strays have no extent in common: each is a lamp of its own.
+        groups.extend(lighting.remainder.iter().filter_map(|node| {
+            let lamp = LampNodes::new(vec![*node], lighting.radius)?;
+            Group::new(&lamp, lighting.centre, Role::Lamp)
+        }));
+        let total: f32 = lighting
+            .environment
+            .iter()
+            .chain(&lighting.lamps)
+            .map(|l| l.flux().element_sum())
+            .sum();
+        groups.extend(lighting.environment.iter().filter_map(|patch| {
+            let is_bright = patch.flux().element_sum() > SHARP_SHARE * total;
+            let role = if is_bright && patches::reach(patch) < SHARP_REACH {
+                Role::Lamp
+            } else {
+                Role::Environment
+            };
+            Group::new(patch, lighting.centre, role)
+        }));
+        Self {
+            occluder,
+            brdf,
+            groups,
+            ambient: lighting.ambient * ambient_gain(brdf),
+            support: Support::new(brdf),
+            stop: None,
+        }
+    }
+
+    /// Once `stop` is set, long work with this shader ends soon. Its results then are of no use.
+    #[must_use]
+    pub fn stopped_by(self, stop: &'a AtomicBool) -> Self {
+        Self {
+            stop: Some(stop),
+            ..self
+        }
+    }
+
+    /// Whether the work is to end.
+    pub fn is_stopped(&self) -> bool {
+        self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
+    }
+
+    /// Number of lamps and patches, so of visibilities a point has.
+    pub fn groups(&self) -> usize {
+        self.groups.len()
+    }
+
+    /// Number of nodes of a group.
+    pub fn nodes(&self, group: usize) -> usize {
+        self.groups[group].nodes.len()
+    }
+
+    /// Whether a group's visibility has edges.
+    pub fn is_sharp(&self, group: usize) -> bool {
+        !self.groups[group].soft
+    }
+
+    /// Whether a group can add to the specular part seen at a point from the unit direction `view`.
+    pub fn is_in_lobe(&self, group: usize, point: &ShadingPoint, view: Vec3) -> bool {
+        let group = &self.groups[group];
+        let (axis, falloff, _) = group.towards(group.axis, point.position);
+        let reach = group.reach_from(falloff);
+        self.brdf.is_some() && self.support.holds(axis, reach, point.normal, view)
+    }
+
+    /// Whether a lobe towards the unit direction `view` shows how a group's light is spread, and not only how much there is.
+    pub fn is_resolved(&self, group: usize, point: &ShadingPoint, view: Vec3) -> bool {
+        let group = &self.groups[group];
+        let (axis, falloff, _) = group.towards(group.axis, point.position);
+        self.brdf
+            .is_some_and(|brdf| resolves(brdf, group.reach_from(falloff), axis, view))
+    }
+
+    /// Casts a ray to each of some nodes of a group and says for its place in the list whether it is blocked; not of those
+    /// behind the surface.
+    fn cast_to(
+        &self,
+        point: &ShadingPoint,
+        origin: Vec3,
+        group: &Group,
+        nodes: &[usize],
+        tell: impl FnMut(usize, bool),
+    ) {
+        let rays = nodes.iter().enumerate().filter_map(|(place, &node)| {
+            let (l, _, distance) = group.towards(group.nodes[node].place, point.position);
+            let in_front = l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0;
+            in_front.then_some((place, l, distance))
+        });
+        self.occluder.each_occluded(origin, rays, tell);
+    }
+
+    /// Casts the rays that tell how much of a group a point sees.
+    pub fn cast(&self, point: &ShadingPoint, group: usize) -> Visibility {
+        let group = &self.groups[group];
+        if group.horizon(point) == Horizon::Below || self.is_stopped() {
+            return Visibility::Below;
+        }
+        let origin = self
+            .occluder
+            .offset_origin(point.position, point.face_normal);
+        let (mut blocked, mut clear) = (0, 0);
+        self.cast_to(point, origin, group, &group.probes, |_, is_blocked| {
+            if is_blocked {
+                blocked += 1;
+            } else {
+                clear += 1;
+            }
+        });
+        if group.soft {
+            return Visibility::Fraction(if blocked + clear == 0 {
+                1.0
+            } else {
+                clear as f32 / (blocked + clear) as f32
+            });
+        }
+        match (blocked, clear) {
+            (0, 1..) => Visibility::Whole,
+            (1.., 0) => Visibility::Hidden,
+            _ => Visibility::Part(self.cast_all(point, origin, group)),
+        }
+    }
+
+    /// Which nodes of a group a point sees. Scouts go first; a node among three scouts that agree is as they are.
+    fn cast_all(&self, point: &ShadingPoint, origin: Vec3, group: &Group) -> Box<[u64]> {
+        let mut scouts = vec![None; group.scouts.len()];
+        self.cast_to(point, origin, group, &group.scouts, |scout, blocked| {
+            scouts[scout] = Some(blocked);
+        });
+        let agreed = |node: usize| {
+            let &[a, b, c] = group.among.get(node)?;
+            let first = scouts[usize::from(a)]?;
+            let agree = [b, c]
+                .iter()
+                .all(|&s| scouts[usize::from(s)] == Some(first));
+            agree.then_some(first)
+        };
+        let mut bits = vec![0_u64; group.nodes.len().div_ceil(64)].into_boxed_slice();
+        let mut tell = |node: usize, blocked: bool| {
+            bits[node / 64] |= u64::from(!blocked) << (node % 64);
+        };
+        let mut open = Vec::new();
+        for node in 0..group.nodes.len() {
+            match agreed(node) {
+                Some(blocked) => tell(node, blocked),
+                None => open.push(node),
+            }
+        }
+        self.cast_to(point, origin, group, &open, |k, blocked| {
+            tell(open[k], blocked);
+        });
+        bits
+    }
+
+    /// Part of a group's light, of what is above the horizon, that reaches a point; `None` where all of it is below.
+    pub fn seen_share(&self, point: &ShadingPoint, group: usize) -> Option<f32> {
+        self.share(point, group, &self.cast(point, group))
+    }
+
+    /// [`Shader::seen_share`] of a visibility that is known.
+    pub fn share(&self, point: &ShadingPoint, group: usize, seen: &Visibility) -> Option<f32> {
+        let group = &self.groups[group];
+        match seen {
+            Visibility::Below => None,
+            Visibility::Hidden => Some(0.0),
+            Visibility::Whole => Some(1.0),
+            Visibility::Fraction(f) => Some(*f),
+            Visibility::Part(bits) => {
+                let (mut clear, mut all) = (0.0, 0.0);
+                for (i, node) in group.nodes.iter().enumerate() {
+                    let (l, falloff, _) = group.towards(node.place, point.position);
+                    if l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0 {
+                        let flux = falloff * node.flux.element_sum();
+                        all += flux;
+                        clear += flux * f32::from(u8::from(bits[i / 64] >> (i % 64) & 1 == 1));
+                    }
+                }
+                (all > 0.0).then(|| clear / all)
+            }
+        }
+    }
+
+    /// Visibilities on a grid of `points`, row by row, `width` of them in a row, `groups()` for each point. `told` gives those
+    /// that are known beforehand. Only every fourth point in each direction casts probes; those between take what all their
+    /// neighbours of the same surface agree on, and cast their own where there is no agreement. `spacing` is the typical
+    /// distance of neighbouring points; `wanted` says whether a point needs a group at all.
+    pub fn visibility(
+        &self,
+        points: &[Option<ShadingPoint>],
+        width: usize,
+        spacing: f32,
+        wanted: &dyn Fn(usize, usize) -> bool,
+        told: &dyn Fn(usize, usize) -> Option<Visibility>,
+    ) -> Vec<Visibility> {
+        let height = points.len() / width.max(1);
+        let count = self.groups.len();
+        let mut all = vec![Visibility::Below; points.len() * count];
+        let size = [width, height];
+        let mut needed = vec![false; count];
+        for y in (0..height).filter(|y| y.is_multiple_of(STRIDE) || y + 1 == height) {
+            for x in (0..width).filter(|&x| is_coarse([x, y], size)) {
+                let Some(point) = &points[y * width + x] else {
+                    continue;
+                };
+                // A coarse point answers for the cells around it.
+                needed.fill(false);
+                for ny in y.saturating_sub(STRIDE)..(y + STRIDE + 1).min(height) {
+                    for nx in x.saturating_sub(STRIDE)..(x + STRIDE + 1).min(width) {
+                        if points[ny * width + nx].is_some() {
+                            for (g, n) in needed.iter_mut().enumerate() {
+                                *n = *n || wanted(ny * width + nx, g);
+                            }
+                        }
+                    }
+                }
+                let index = y * width + x;
+                for g in (0..count).filter(|&g| needed[g]) {
+                    all[index * count + g] = told(index, g).unwrap_or_else(|| self.cast(point, g));
+                }
+            }
+        }
+        for y in 0..height {
+            for x in (0..width).filter(|&x| !is_coarse([x, y], size)) {
+                let index = y * width + x;
+                let Some(point) = &points[index] else {
+                    continue;
+                };
+                let corners = corners(points, size, [x, y], spacing, SAME_SURFACE_COS);
+                for g in (0..count).filter(|&g| wanted(index, g)) {
+                    all[index * count + g] = told(index, g)
+                        .or_else(|| self.shared(&corners, &all, g, point))
+                        .unwrap_or_else(|| self.cast(point, g));
+                }
+            }
+        }
+        all
+    }
+
+    /// What a point's coarse neighbours say about a group, if they agree.
+    fn shared(
+        &self,
+        corners: &[(usize, f32)],
+        all: &[Visibility],
+        group: usize,
+        point: &ShadingPoint,
+    ) -> Option<Visibility> {
+        let count = self.groups.len();
+        let of = |corner: &(usize, f32)| &all[corner.0 * count + group];
+        if self.groups[group].horizon(point) == Horizon::Below {
+            return Some(Visibility::Below);
+        }
+        if self.groups[group].soft {
+            let (mut sum, mut weights) = (0.0, 0.0);
+            for corner in corners {
+                if let Visibility::Fraction(f) = of(corner) {
+                    sum += corner.1 * f;
+                    weights += corner.1;
+                }
+            }
+            return (weights > 1e-3).then(|| Visibility::Fraction(sum / weights));
+        }
+        let (first, others) = corners.split_first()?;
+        let agreed = of(first);
+        let plain = matches!(agreed, Visibility::Whole | Visibility::Hidden);
+        (corners.len() >= 3 && plain && others.iter().all(|c| of(c) == agreed))
+            .then(|| agreed.clone())
+    }
+
+    /// Specular radiance and irradiance at a point seen from the unit direction `view`, given its visibilities.
+    pub fn shade(&self, point: &ShadingPoint, view: Vec3, visibility: &[Visibility]) -> Shade {
+        Shade {
+            specular: self.specular(point, view, visibility),
+            irradiance: self.irradiance(point, visibility),
+        }
+    }
+
+    /// Specular radiance at a point seen from the unit direction `view`, given its visibilities.
+    pub fn specular(&self, point: &ShadingPoint, view: Vec3, visibility: &[Visibility]) -> Vec3 {
+        let mut specular = Vec3::ZERO;
+        let Some(brdf) = self.brdf else {
+            return specular;
+        };
+        let terms = brdf.view_terms(point.normal, view);
+        for (group, seen) in self.groups.iter().zip(visibility) {
+            if matches!(seen, Visibility::Below | Visibility::Hidden) {
+                continue;
+            }
+            let (axis, falloff, _) = group.towards(group.axis, point.position);
+            let reach = group.reach_from(falloff);
+            if self.support.holds(axis, reach, point.normal, view) {
+                let resolved = resolves(brdf, reach, axis, view);
+                let nodes = group.standing_for(point, seen, resolved);
+                Self::each_seen(group, nodes, point, seen, |l, flux| {
+                    specular += flux * brdf.lobe(&terms, l);
+                });
+            }
+        }
+        specular
+    }
+
+    /// Irradiance at a point, given its visibilities.
+    pub fn irradiance(&self, point: &ShadingPoint, visibility: &[Visibility]) -> Vec3 {
+        let mut irradiance = self.ambient;
+        let transmittance = |cos: f32| self.brdf.map_or(1.0, |b| b.diffuse_transmittance(cos));
+        for (group, seen) in self.groups.iter().zip(visibility) {
+            // Distant light that is wholly seen and above the horizon adds up beforehand, as long as the
+            // transmittance is the same for all of it.
+            let weight = match seen {
+                Visibility::Whole => 1.0,
+                Visibility::Fraction(f) => *f,
+                _ => f32::NAN,
+            };
+            if group.near.is_none()
+                && !weight.is_nan()
+                && group.horizon(point) == Horizon::Above
+                && group.reach < 0.2
+            {
+                let through = weight * transmittance(group.axis.dot(point.normal));
+                irradiance += through
+                    * Vec3::new(
+                        group.moment[0].dot(point.normal),
+                        group.moment[1].dot(point.normal),
+                        group.moment[2].dot(point.normal),
+                    )
+                    .max(Vec3::ZERO);
+            } else {
+                let nodes = group.standing_for(point, seen, group.reach > UNRESOLVED_BY_COSINE);
+                Self::each_seen(group, nodes, point, seen, |l, flux| {
+                    let cos = l.dot(point.normal);
+                    irradiance += flux * (cos * transmittance(cos));
+                });
+            }
+        }
+        irradiance
+    }
+
+    /// Calls `add(l, flux × fall-off)` for every one of a group's `nodes` that lights the point.
+    #[inline]
+    fn each_seen(
+        group: &Group,
+        nodes: &[Node],
+        point: &ShadingPoint,
+        seen: &Visibility,
+        mut add: impl FnMut(Vec3, Vec3),
+    ) {
+        let weight = match seen {
+            Visibility::Below | Visibility::Hidden => return,
+            Visibility::Whole | Visibility::Part(_) => 1.0,
+            Visibility::Fraction(f) => *f,
+        };
+        for (i, node) in nodes.iter().enumerate() {
+            if let Visibility::Part(bits) = seen
+                && bits[i / 64] >> (i % 64) & 1 == 0
+            {
+                continue;
+            }
+            let (l, falloff, _) = group.towards(node.place, point.position);
+            if l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0 {
+                add(l, node.flux * (falloff * weight));
+            }
+        }
+    }
+}
+
+/// Whether a lobe resolves light within the angle `reach` of `axis`.
+fn resolves(brdf: Brdf, reach: f32, axis: Vec3, view: Vec3) -> bool {
+    reach > UNRESOLVED * brdf.sigma * (axis + view).length()
+}
+
+/// How large the patches of a wide lamp may be, radians: so that a lobe does not resolve them except at a grazing angle,
+/// and there are not too many.
+fn patch_reach(brdf: Option<Brdf>) -> f32 {
+    const SMALLEST: f32 = 0.05;
+    const LARGEST: f32 = 0.12;
+    const GRAZING: f32 = 1.5;
+    let unresolved = brdf.map_or(LARGEST, |b| UNRESOLVED * b.sigma * GRAZING);
+    unresolved.clamp(SMALLEST, LARGEST)
+}
+
+/// Seven directions with their fluxes that have the nodes' flux, mean, covariance and, as a uniform ellipse of that
+/// covariance has them, the moments up to the fifth (Abramowitz and Stegun, 25.4.61).
+fn stand_ins(nodes: &[&LightNode], axis: Vec3) -> Vec<(Vec3, Vec3)> {
+    let (mut total, mut weights) = (Vec3::ZERO, 0.0);
+    let (tangent, bitangent) = axis.any_orthonormal_pair();
+    let (mut mean, mut square) = (Vec2::ZERO, Mat2::ZERO);
+    for node in nodes {
+        let weight = node.flux().element_sum();
+        let at = Vec2::new(node.direction.dot(tangent), node.direction.dot(bitangent));
+        total += node.flux();
+        weights += weight;
+        mean += weight * at;
+        square += Mat2::from_cols(at * at.x, at * at.y) * weight;
+    }
+    let weights = weights.max(f32::MIN_POSITIVE);
+    mean /= weights;
+    let square = square * (1.0 / weights);
+    let (xx, xy, yy) = (
+        square.x_axis.x - mean.x * mean.x,
+        square.x_axis.y - mean.x * mean.y,
+        square.y_axis.y - mean.y * mean.y,
+    );
+    // Any root of the covariance will do: Cholesky's.
+    let across = xx.max(0.0).sqrt();
+    let skew = if across > 0.0 { xy / across } else { 0.0 };
+    let along = (yy - skew * skew).max(0.0).sqrt();
+    let direction = |at: Vec2| {
+        let at = mean + at;
+        let height = (1.0 - at.length_squared()).max(0.0).sqrt();
+        (tangent * at.x + bitangent * at.y + axis * height).normalize_or(axis)
+    };
+    // A uniform disc's standard deviation is half its radius.
+    let ring = 2.0 * (2.0_f32 / 3.0).sqrt();
+    std::iter::once((direction(Vec2::ZERO), total * 0.25))
+        .chain((0..6).map(|k| {
+            let (sin, cos) = (k as f32 * std::f32::consts::FRAC_PI_3).sin_cos();
+            let at = ring * Vec2::new(across * cos, skew * cos + along * sin);
+            (direction(at), total * 0.125)
+        }))
+        .collect()
+}
+
+/// Where a lobe has not been cut yet: the angle between half vector and normal.
+#[derive(Clone, Copy, Debug)]
+struct Support {
+    cos: f32,
+    sin: f32,
+}
+
+impl Support {
+    fn new(brdf: Option<Brdf>) -> Self {
+        let angle = brdf.map_or(0.0, |b| b.half_angle_support(LOBE_CUTOFF));
+        Self {
+            cos: angle.cos(),
+            sin: angle.sin(),
+        }
+    }
+
+    /// Whether light within the angle `reach` of `axis` can have its half vector in it.
+    fn holds(self, axis: Vec3, reach: f32, normal: Vec3, view: Vec3) -> bool {
+        let sum = axis + view;
+        let length = sum.length();
+        // The half vector turns by at most reach/|l + v|, a little more as |l + v| itself changes with l.
+        let turn = reach / (length - reach).max(1e-3);
+        // cos(angle + turn) is no less than this.
+        let least = self.cos * (1.0 - 0.5 * turn * turn) - self.sin * turn;
+        sum.dot(normal) > length * least.min(self.cos)
+    }
+}
+
+/// Irradiance, transmittance inside, by unit radiance from everywhere.
+pub(super) fn ambient_gain(brdf: Option<Brdf>) -> f32 {
+    std::f32::consts::PI * brdf.map_or(1.0, mean_transmittance)
+}
+
+/// ∫ T(cos θ) cos θ dω / π over the hemisphere: the transmittance of uniform light.
+fn mean_transmittance(brdf: Brdf) -> f32 {
+    /// Midpoint rule in cos²θ.
+    const STEPS: usize = 64;
+    (0..STEPS)
+        .map(|i| brdf.diffuse_transmittance(((i as f32 + 0.5) / STEPS as f32).sqrt()))
+        .sum::<f32>()
+        / STEPS as f32
+}
+
+/// Whether a grid's point at `[x, y]` is one of those that others are interpolated from.
+pub(super) fn is_coarse([x, y]: [usize; 2], [width, height]: [usize; 2]) -> bool {
+    (x.is_multiple_of(STRIDE) || x + 1 == width) && (y.is_multiple_of(STRIDE) || y + 1 == height)
+}
+
+/// The corners of a point's cell that lie on the same surface, normals at most at the cosine `min_cos`, with bilinear
+/// weights.
+pub(super) fn corners(
+    points: &[Option<ShadingPoint>],
+    [width, height]: [usize; 2],
+    [x, y]: [usize; 2],
+    spacing: f32,
+    min_cos: f32,
+) -> SmallVec<[(usize, f32); 4]> {
+    let mut found = SmallVec::new();
+    let Some(point) = &points[y * width + x] else {
+        return found;
+    };
+    let ends = |at: usize, limit: usize| {
+        let low = at - at % STRIDE;
+        let high = (low + STRIDE).min(limit - 1);
+        let t = if high > low {
+            (at - low) as f32 / (high - low) as f32
+        } else {
+            0.0
+        };
+        [(low, 1.0 - t), (high, t)]
+    };
+    let reach = SAME_SURFACE_STEPS * STRIDE as f32 * spacing;
+    for (cy, wy) in ends(y, height) {
+        for (cx, wx) in ends(x, width) {
+            let index = cy * width + cx;
+            if let Some(corner) = &points[index]
+                && corner.normal.dot(point.normal) > min_cos
+                && corner.position.distance_squared(point.position) < reach * reach
+            {
+                found.push((index, wx * wy));
+            }
+        }
+    }
+    found
+}

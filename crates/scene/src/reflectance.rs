@@ -1,0 +1,424 @@
+//! What a lobe of specular reflection looks like.
+//!
+//! Both models are the Torrance-Sparrow form `K_S F G / cos θ_r · L_i · D(α)` (eq. 3), with K_S = 1 absorbed into
+//! the light and D(0) = F(normal incidence) = 1, so that lights mean the same in both:
+//!
+//! * [`SpecularModel::Paper`] (eq. 4): F and G constant, `D = exp(−α²/2σ²)`;
+//! * [`SpecularModel::Microfacet`]: dielectric Fresnel factor, Smith's masking for Beckmann slopes and
+//!   `D = exp(−tan²α/2σ²)/cos⁴α`, as of Walter et al., "Microfacet Models for Refraction through Rough Surfaces"
+//!   (2007); a Beckmann slope width of √2 σ. The diffuse part loses what the surface reflects.
+//!
+//! α is the angle between the normal and the half vector, in radians. The cosine of the incident angle is inside
+//! the lobe (it has cancelled), the light's solid angle is not.
+
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+
+use rekindle_base::math::exp::exp_negative;
+
+/// Index of refraction taken for every dielectric. F(θ)/F(0) hardly depends on it between 1.4 and 1.6.
+const REFRACTIVE_INDEX: f32 = 1.5;
+
+/// Below this cosine between normal and view the lobe's 1/cos θ_r is held constant: eq. 4 has a pole there.
+pub const MIN_COS_VIEW: f32 = 1e-3;
+
+/// Which form of eq. 3 a surface follows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SpecularModel {
+    /// Eq. 4: Fresnel and masking constant.
+    Paper,
+    /// Dielectric Fresnel factor and Smith masking.
+    Microfacet,
+}
+
+/// A specular model with its roughness.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Brdf {
+    /// The lobe's form.
+    pub model: SpecularModel,
+    /// Roughness σ: standard deviation of the facets' tilt, radians.
+    pub sigma: f32,
+}
+
+/// A lobe's value and its derivative by σ.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LobeValue {
+    /// Specular radiance per unit of radiance × solid angle.
+    pub value: f32,
+    /// ∂value/∂σ.
+    pub by_sigma: f32,
+}
+
+/// What of a lobe depends on surface and view only, so that it is computed once per row.
+#[derive(Clone, Copy, Debug)]
+pub struct ViewTerms {
+    normal: Vec3,
+    view: Vec3,
+    /// n·v.
+    cos_normal: f32,
+    cos_view: f32,
+    /// Masking towards the viewer over cos θ_r.
+    scale: f32,
+    /// ∂ ln(scale)/∂σ.
+    log_scale_by_sigma: f32,
+}
+
+impl Brdf {
+    /// The terms of a lobe seen from the unit direction `view` on a surface with the unit `normal`.
+    pub fn view_terms(&self, normal: Vec3, view: Vec3) -> ViewTerms {
+        let cos_normal = normal.dot(view);
+        let cos_view = cos_normal.max(MIN_COS_VIEW);
+        let masking = self.model.masking(cos_view, self.sigma);
+        ViewTerms {
+            normal,
+            view,
+            cos_normal,
+            cos_view,
+            scale: masking.value / cos_view,
+            log_scale_by_sigma: masking.by_sigma / masking.value,
+        }
+    }
+
+    /// The lobe for light from the unit direction `light`: zero where the light is behind the surface.
+    #[inline(always)]
+    pub fn lobe(&self, terms: &ViewTerms, light: Vec3) -> f32 {
+        self.lobe_with_derivative(terms, light).value
+    }
+
+    /// The lobe and its derivative by σ.
+    #[inline(always)]
+    pub fn lobe_with_derivative(&self, terms: &ViewTerms, light: Vec3) -> LobeValue {
+        let cos_light = terms.normal.dot(light);
+        let facets = terms.facets(self.model, light, cos_light);
+        let masking = self.model.masking(cos_light, self.sigma);
+        let variance = self.sigma * self.sigma;
+        let lit = if cos_light > 0.0 { terms.scale } else { 0.0 };
+        let value = lit * masking.value * facets.density(1.0 / variance);
+        let log_derivative = facets.slope_squared / (variance * self.sigma)
+            + masking.by_sigma / masking.value
+            + terms.log_scale_by_sigma;
+        LobeValue {
+            value,
+            by_sigma: value * log_derivative,
+        }
+    }
+
+    /// How much of diffusely reflected light passes the surface at the cosine `cos` of incidence or exitance, as
+    /// a ratio to normal incidence: 1 in the paper's model, (1 − F(cos))/(1 − F(1)) for a dielectric. It belongs
+    /// to each cos θ_i of an irradiance and to the view.
+    #[inline(always)]
+    pub fn diffuse_transmittance(&self, cos: f32) -> f32 {
+        match self.model {
+            SpecularModel::Paper => 1.0,
+            SpecularModel::Microfacet => {
+                (1.0 - fresnel(cos.clamp(1e-3, 1.0))) * INVERSE_NORMAL_TRANSMITTANCE
+            }
+        }
+    }
+
+    /// `K_S` of eq. 4, by which estimated lights are larger than real ones: F(normal incidence)/(8πσ²) in the microfacet
+    /// model, whose lobe is normalised; the paper's model leaves it open.
+    pub fn specular_scale(&self) -> Option<f32> {
+        match self.model {
+            SpecularModel::Paper => None,
+            SpecularModel::Microfacet => {
+                Some(NORMAL_FRESNEL / (8.0 * std::f32::consts::PI * self.sigma * self.sigma))
+            }
+        }
+    }
+
+    /// Part of the light from a direction at the cosine `cos_light` that facets seen at the cosine `cos_between` (of
+    /// l and h) pass on: F G₁ in absolute terms. Nothing where the paper's model leaves its scale open.
+    pub fn facet_reflectance(&self, cos_light: f32, cos_between: f32) -> f32 {
+        match self.model {
+            SpecularModel::Microfacet if cos_light > 0.0 => {
+                fresnel(cos_between) * self.model.masking(cos_light, self.sigma).value
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// Angle α beyond which D(α) is below `cutoff` of its peak, in radians.
+    pub fn half_angle_support(&self, cutoff: f32) -> f32 {
+        let reach = self.sigma * (-2.0 * cutoff.ln()).max(0.0).sqrt();
+        match self.model {
+            SpecularModel::Paper => reach.min(std::f32::consts::FRAC_PI_2),
+            // exp(−t²/2σ²)/cos⁴ = exp(−t²/2σ² + 2 ln(1 + t²)): two steps of fixed-point iteration in t = tan α.
+            SpecularModel::Microfacet => {
+                let mut tan = reach;
+                for _ in 0..4 {
+                    let grown = 4.0 * self.sigma * self.sigma * (1.0 + tan * tan).ln();
+                    tan = (reach * reach + grown).sqrt();
+                }
+                tan.atan()
+            }
+        }
+    }
+}
+
+/// What of a lobe the half vector decides.
+#[derive(Clone, Copy, Debug)]
+pub struct Facets {
+    /// α² in the paper's model, tan²α in the microfacet model.
+    pub slope_squared: f32,
+    /// Fresnel factor, 1 at normal incidence, over cos⁴α; 1 in the paper's model.
+    pub factor: f32,
+}
+
+impl Facets {
+    /// Factor × exp(−slope²/2σ²), given 1/σ².
+    #[inline(always)]
+    pub fn density(&self, inverse_variance: f32) -> f32 {
+        self.factor * exp_negative(-0.5 * self.slope_squared * inverse_variance)
+    }
+
+    /// [`Facets::density`], or that of GGX with the same slope width, factor × (1 + slope²/2σ²)⁻².
+    #[inline(always)]
+    pub fn density_of<const LONG: bool>(&self, inverse_variance: f32) -> f32 {
+        if LONG {
+            let base = 1.0 + 0.5 * self.slope_squared * inverse_variance;
+            self.factor / (base * base)
+        } else {
+            self.density(inverse_variance)
+        }
+    }
+
+    /// How much faster than a Gaussian's the logarithm of that density changes with σ.
+    #[inline(always)]
+    pub fn fall<const LONG: bool>(&self, inverse_variance: f32) -> f32 {
+        if LONG {
+            2.0 / (1.0 + 0.5 * self.slope_squared * inverse_variance)
+        } else {
+            1.0
+        }
+    }
+}
+
+impl ViewTerms {
+    /// Cosine between normal and view, at least [`MIN_COS_VIEW`].
+    #[inline(always)]
+    pub fn cos_view(&self) -> f32 {
+        self.cos_view
+    }
+
+    /// Masking towards the viewer over cos θ_r.
+    #[inline(always)]
+    pub fn scale(&self) -> f32 {
+        self.scale
+    }
+
+    /// ∂ ln(scale)/∂σ.
+    #[inline(always)]
+    pub fn log_scale_by_sigma(&self) -> f32 {
+        self.log_scale_by_sigma
+    }
+
+    /// n·(l + v) and |l + v|² for light from the unit direction `light`; `cos_light` is n·l.
+    #[inline(always)]
+    pub fn half(&self, light: Vec3, cos_light: f32) -> (f32, f32) {
+        // |l + v|² = 2 + 2 l·v.
+        let squared = (2.0 + 2.0 * light.dot(self.view)).max(1e-12);
+        (cos_light + self.cos_normal, squared)
+    }
+
+    /// The facets that mirror light from the unit direction `light` to the viewer; `cos_light` is n·l.
+    #[inline(always)]
+    pub fn facets(&self, model: SpecularModel, light: Vec3, cos_light: f32) -> Facets {
+        let (sum, squared) = self.half(light, cos_light);
+        // n·h = n·(l + v)/|l + v|, l·h = |l + v|/2.
+        let length = squared.sqrt();
+        let cos_half = (sum / length).clamp(1e-3, 1.0);
+        match model {
+            SpecularModel::Paper => Facets {
+                slope_squared: squared_arccos(cos_half),
+                factor: 1.0,
+            },
+            SpecularModel::Microfacet => {
+                let inverse_cos_squared = 1.0 / (cos_half * cos_half);
+                Facets {
+                    slope_squared: (1.0 - cos_half * cos_half) * inverse_cos_squared,
+                    factor: fresnel(0.5 * length)
+                        * INVERSE_NORMAL_FRESNEL
+                        * inverse_cos_squared
+                        * inverse_cos_squared,
+                }
+            }
+        }
+    }
+}
+
+impl SpecularModel {
+    /// Masking towards a direction at the cosine `cos`, with its derivative by σ.
+    #[inline(always)]
+    pub fn masking(self, cos: f32, sigma: f32) -> LobeValue {
+        match self {
+            Self::Paper => LobeValue {
+                value: 1.0,
+                by_sigma: 0.0,
+            },
+            Self::Microfacet => masking(cos.max(1e-4), sigma),
+        }
+    }
+}
+
+const NORMAL_FRESNEL: f32 = {
+    let r = (REFRACTIVE_INDEX - 1.0) / (REFRACTIVE_INDEX + 1.0);
+    r * r
+};
+const INVERSE_NORMAL_FRESNEL: f32 = 1.0 / NORMAL_FRESNEL;
+const INVERSE_NORMAL_TRANSMITTANCE: f32 = 1.0 / (1.0 - NORMAL_FRESNEL);
+
+/// Unpolarised Fresnel reflectance of a dielectric at the cosine `c` of incidence.
+#[inline(always)]
+fn fresnel(c: f32) -> f32 {
+    // Walter et al. (2007), eq. 22.
+    let g = (REFRACTIVE_INDEX * REFRACTIVE_INDEX - 1.0 + c * c).sqrt();
+    // (g − c)/(g + c) without a division: g² − c² = η² − 1.
+    let a = (g - c) * (g - c) * (1.0 / (REFRACTIVE_INDEX * REFRACTIVE_INDEX - 1.0));
+    let b = (c * (g + c) - 1.0) / (c * (g - c) + 1.0);
+    0.5 * a * a * (1.0 + b * b)
+}
+
+/// Smith's masking G₁ for Beckmann slopes of width √2 σ at the cosine `c`, in the rational approximation of
+/// Walter et al. (2007), with its derivative by σ.
+#[inline(always)]
+fn masking(c: f32, sigma: f32) -> LobeValue {
+    let tangent = ((1.0 - c * c).max(0.0)).sqrt() / c;
+    let a = 1.0 / (std::f32::consts::SQRT_2 * sigma * tangent).max(1e-6);
+    let (top, bottom) = (a * (3.535 + 2.181 * a), 1.0 + a * (2.276 + 2.577 * a));
+    let value = top / bottom;
+    let by_a = ((3.535 + 4.362 * a) * bottom - top * (2.276 + 5.154 * a)) / (bottom * bottom);
+    // da/dσ = −a/σ. Past a = 1.6 nothing is masked.
+    if a < 1.6 {
+        LobeValue {
+            value,
+            by_sigma: -by_a * a / sigma,
+        }
+    } else {
+        LobeValue {
+            value: 1.0,
+            by_sigma: 0.0,
+        }
+    }
+}
+
+/// `acos(c)²` for `c` in [0, 1], by `(1 − c)·P(c)²` with the polynomial of Abramowitz and Stegun, 4.4.46: exact
+/// where it vanishes, error below 1e-7 elsewhere.
+#[inline(always)]
+fn squared_arccos(c: f32) -> f32 {
+    let p = -0.001_262_491_1_f32;
+    let p = p * c + 0.006_670_09;
+    let p = p * c - 0.017_088_126;
+    let p = p * c + 0.030_891_88;
+    let p = p * c - 0.050_174_303;
+    let p = p * c + 0.088_978_99;
+    let p = p * c - 0.214_598_8;
+    let p = p * c + std::f32::consts::FRAC_PI_2;
+    (1.0 - c) * p * p
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MODELS: [SpecularModel; 2] = [SpecularModel::Paper, SpecularModel::Microfacet];
+
+    /// A few configurations with light, view and normal well above the horizon.
+    fn configurations() -> impl Iterator<Item = (Vec3, Vec3, Vec3)> {
+        (0..60).map(|i| {
+            let t = i as f32;
+            let direction = |a: f32, tilt: f32| {
+                Vec3::new(a.cos() * tilt.sin(), a.sin() * tilt.sin(), tilt.cos())
+            };
+            (
+                direction(t * 0.7, 0.1),
+                direction(t * 1.3, 0.2 + 0.9 * (t * 0.37).sin().abs()),
+                direction(t * 1.3 + 3.0, 0.25 + 0.9 * (t * 0.41).sin().abs()),
+            )
+        })
+    }
+
+    #[test]
+    fn derivative_by_sigma_agrees_with_finite_differences() {
+        for model in MODELS {
+            for (n, v, l) in configurations() {
+                let at = |sigma: f32| {
+                    let brdf = Brdf { model, sigma };
+                    brdf.lobe_with_derivative(&brdf.view_terms(n, v), l)
+                };
+                let step = 2e-3;
+                let (low, mid, high) = (at(0.2 - step), at(0.2), at(0.2 + step));
+                let difference = (high.value - low.value) / (2.0 * step);
+                assert!(
+                    (difference - mid.by_sigma).abs() < 2e-3 * (1.0 + mid.by_sigma.abs()),
+                    "{model:?}: analytic {} against {difference}",
+                    mid.by_sigma
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn paper_lobe_is_equation_4() {
+        for (n, v, l) in configurations() {
+            let sigma = 0.15_f32;
+            let brdf = Brdf {
+                model: SpecularModel::Paper,
+                sigma,
+            };
+            let (n, v, l) = (n.as_dvec3(), v.as_dvec3(), l.as_dvec3());
+            let alpha = n.dot((l + v).normalize_or_zero()).clamp(-1.0, 1.0).acos();
+            let expected = (-alpha * alpha / (2.0 * f64::from(sigma).powi(2))).exp() / n.dot(v);
+            let got = brdf.lobe(&brdf.view_terms(n.as_vec3(), v.as_vec3()), l.as_vec3());
+            assert!(
+                (f64::from(got) - expected).abs() < 2e-5 * (1.0 + expected),
+                "{got} against {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn microfacet_lobe_is_reciprocal_and_one_at_the_peak() {
+        let brdf = Brdf {
+            model: SpecularModel::Microfacet,
+            sigma: 0.1,
+        };
+        let peak = brdf.lobe(&brdf.view_terms(Vec3::Z, Vec3::Z), Vec3::Z);
+        assert!((peak - 1.0).abs() < 1e-5, "peak {peak}");
+        for (n, v, l) in configurations() {
+            // f(l, v)·cos θ_i is the lobe, so lobe/cos θ_i must not change when l and v change places.
+            let forward = brdf.lobe(&brdf.view_terms(n, v), l) / n.dot(l);
+            let backward = brdf.lobe(&brdf.view_terms(n, l), v) / n.dot(v);
+            assert!(
+                (forward - backward).abs() < 1e-4 * (1e-3 + forward),
+                "{forward} against {backward}"
+            );
+        }
+    }
+
+    #[test]
+    fn light_from_behind_contributes_nothing() {
+        for model in MODELS {
+            let brdf = Brdf { model, sigma: 0.4 };
+            let terms = brdf.view_terms(Vec3::Z, Vec3::new(0.8, 0.0, 0.6));
+            assert_eq!(
+                brdf.lobe(&terms, Vec3::new(-0.8, 0.0, -0.01)),
+                0.0,
+                "{model:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn support_bounds_the_lobe() {
+        for model in MODELS {
+            let brdf = Brdf { model, sigma: 0.1 };
+            let reach = brdf.half_angle_support(1e-3);
+            let terms = brdf.view_terms(Vec3::Z, Vec3::Z);
+            let peak = brdf.lobe(&terms, Vec3::Z);
+            let beyond = Vec3::new((2.0 * reach + 0.02).sin(), 0.0, (2.0 * reach + 0.02).cos());
+            assert!(brdf.lobe(&terms, beyond) < 1.1e-3 * peak, "{model:?}");
+        }
+    }
+}

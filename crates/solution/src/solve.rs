@@ -1,0 +1,497 @@
+//! From a capture to a solution: all rooms in their order.
+
+use std::borrow::Cow;
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{Fit, HemispherePicture, Skipped, Solution, SolutionLamp, lighting, origin};
+use rekindle_base::math::rounding::round_to_halves;
+use rekindle_capture::{Camera, Capture, Mesh, View};
+use rekindle_estimate::estimate::{
+    Diagnostics, Estimate, EstimateInput, EstimateParams, Interim, Iteration, Observer, Stopped,
+    estimate, watched,
+};
+use rekindle_estimate::preflight::misplacements;
+use rekindle_estimate::registration::{Correction, corrected, describe, register, within_outlines};
+use rekindle_relight::{
+    Albedo, DiffuseTexture, Interreflection, Lighting, Scene, Shader, Surroundings, TriangleShares,
+    ViewFit, reconstruct, separate,
+};
+use rekindle_scene::hemisphere::{
+    FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
+};
+use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::shortcuts::Shortcuts;
+use rekindle_scene::surface::{
+    Atlas, MinimumTexture, Occluder, ViewSurface, minimum_texture, wanted_density,
+};
+
+/// Texels per pixel, along each side, where a view shows the surface largest.
+const TEXELS_PER_PIXEL: f32 = 1.0;
+/// Views that may miss a light that the initial hemisphere keeps (the n of 2.2).
+const MISSING_VIEWS: usize = 2;
+/// Views that are looked from at once, so that all threads are busy, …
+const VIEWS_AT_ONCE: usize = 4;
+/// … fewer where they have more pixels than this together, so that one may stop between them.
+const PIXELS_AT_ONCE: usize = 3_000_000;
+/// Side of a hemisphere's picture in pixels.
+const PICTURE_SIDE: u32 = 256;
+
+/// Parts of a solve, with the share of the whole that is done when each begins.
+const SURFACE: (&str, f32) = ("finding what each view sees", 0.02);
+const HEMISPHERES: (&str, f32) = ("collecting highlights on the hemisphere", 0.10);
+const ESTIMATE: (&str, f32) = ("estimating roughness and lights", 0.15);
+const TEXTURE: (&str, f32) = ("reconstructing the texture", 0.70);
+const ALBEDO: (&str, f32) = ("separating texture and shading", 0.90);
+
+/// What a solve is asked to do.
+#[derive(Clone, Copy, Debug)]
+pub struct SolveOptions {
+    /// Method and specular model.
+    pub estimate: EstimateParams,
+    /// Frequency of the geodesic hemisphere.
+    pub frequency: u32,
+    /// Distance of the lights in place of the one that the capture states.
+    pub radius: Option<f32>,
+}
+
+/// Passes an estimation's progress on as a part of the whole.
+struct Part<'a> {
+    observer: &'a mut dyn Observer,
+}
+
+impl Observer for Part<'_> {
+    fn progress(&mut self, what: &str, fraction: f32) -> ControlFlow<()> {
+        let whole = ESTIMATE.1 + fraction * (TEXTURE.1 - ESTIMATE.1);
+        self.observer.progress(what, whole)
+    }
+
+    fn iteration(
+        &mut self,
+        iteration: &Iteration,
+        hemisphere: &dyn Fn() -> Vec<[f32; 3]>,
+    ) -> ControlFlow<()> {
+        self.observer.iteration(iteration, hemisphere)
+    }
+
+    fn interim(&mut self, interim: Interim<'_>) {
+        self.observer.interim(interim);
+    }
+
+    fn enough(&mut self) -> bool {
+        self.observer.enough()
+    }
+}
+
+/// Seconds of each stage.
+struct Clock {
+    since: Instant,
+    stages: Vec<(String, f64)>,
+}
+
+impl Clock {
+    fn lap(&mut self, stage: &str) {
+        self.stages
+            .push((stage.to_owned(), self.since.elapsed().as_secs_f64()));
+        self.since = Instant::now();
+    }
+}
+
+/// Solves a capture. `load_s` is how long it took to read, in seconds.
+pub fn solve(
+    stated: &Capture,
+    options: &SolveOptions,
+    load_s: f64,
+    observer: &mut dyn Observer,
+) -> Result<Solution, Stopped> {
+    let mut clock = Clock {
+        since: Instant::now(),
+        stages: vec![("load".to_owned(), load_s)],
+    };
+    let mut measured = Measured::new(&stated.mesh, &stated.views, observer, SURFACE)?;
+    let given = stated;
+    let (stated, outlined) = within_outlines(given, &measured.surfaces);
+    let stated = stated.as_ref();
+    let (mut capture, mut corrections) = if options.estimate.as_stated {
+        (Cow::Borrowed(stated), Vec::new())
+    } else {
+        measured.registered(stated, observer)?
+    };
+    let grid = hemisphere(stated, options);
+    let misplaced = misplacements(
+        &capture.views,
+        &measured.surfaces,
+        &stated.mesh,
+        &measured.occluder,
+    );
+    clock.lap("surface");
+
+    let (pictures, mut minimum) = hemispheres(&capture, &measured, &grid, observer)?;
+    clock.lap("hemispheres");
+
+    report(observer, ESTIMATE)?;
+    let input = EstimateInput {
+        capture: &capture,
+        surfaces: &measured.surfaces,
+        occluder: &measured.occluder,
+        grid: &grid,
+    };
+    let found = estimate(&input, &options.estimate, &mut Part { observer })?;
+    if !found.exposures.is_empty() {
+        corrections = with_exposures(corrections, &found.exposures);
+        capture = corrected(stated, &corrections);
+    }
+    let mut mesh = &stated.mesh;
+    if let Some(refined) = &found.refined {
+        mesh = &refined.mesh;
+        measured = Measured::new(mesh, &capture.views, observer, TEXTURE)?;
+        minimum = minimum_texture(mesh, &measured.atlas, &capture.views, &measured.surfaces);
+    }
+    clock.lap("estimate");
+
+    let lamps = name_lamps(&grid, &found);
+    let light = lighting(&grid, &found.radiance, &lamps, Vec3::ZERO);
+    let shortcuts = Shortcuts::without(options.estimate.avoided);
+    let sight = Sight {
+        mesh,
+        surfaces: std::mem::take(&mut measured.surfaces),
+        measured: &measured,
+        views: &capture.views,
+        shortcuts: &shortcuts,
+    };
+    let (mut texture, albedo) =
+        textures(sight, found.brdf, &light, &minimum, &mut clock, observer)?;
+    let atlas = measured.atlas;
+
+    let mut skipped = skipped(&found, &corrections);
+    skipped.left_out.extend(shortcuts.counted());
+    round_to_halves(&mut texture.confidence);
+    let warnings = [
+        given.warnings.clone(),
+        outlined.into_iter().collect(),
+        describe(&corrections),
+        atlas.warnings.clone(),
+        misplaced.clone(),
+        found.diagnostics.warnings,
+    ];
+    Ok(Solution {
+        name: stated.name.clone(),
+        origin: origin(given, options),
+        method: found.method,
+        brdf: found.brdf,
+        chosen_because: found.chosen_because,
+        corrections,
+        sigma_interval95: found.sigma_interval95,
+        grid,
+        radiance: found.radiance,
+        lamps,
+        ambient: albedo.ambient,
+        diagnostics: Diagnostics {
+            well_posed: found.diagnostics.well_posed && misplaced.is_empty(),
+            warnings: warnings.concat(),
+            ..found.diagnostics
+        },
+        fit: Fit {
+            misfit: found.misfit,
+            ..summarise(&texture.fit)
+        },
+        skipped,
+        timings: clock.stages,
+        convergence: found.convergence,
+        cameras: cameras(&capture.views),
+        mesh: mesh.clone(),
+        atlas,
+        diffuse: rounded(texture.radiance),
+        albedo: rounded(albedo.albedo),
+        confidence: texture.confidence,
+        pictures,
+    })
+}
+
+/// What textures are made of.
+struct Sight<'a> {
+    mesh: &'a Mesh,
+    measured: &'a Measured,
+    views: &'a [View],
+    /// What each view sees.
+    surfaces: Vec<ViewSurface>,
+    shortcuts: &'a Shortcuts,
+}
+
+/// The diffuse texture and the pseudo-albedo of what the views see, under the light that was found.
+fn textures(
+    sight: Sight<'_>,
+    brdf: Option<Brdf>,
+    light: &Lighting,
+    minimum: &MinimumTexture,
+    clock: &mut Clock,
+    observer: &mut dyn Observer,
+) -> Result<(DiffuseTexture, Albedo), Stopped> {
+    let Sight {
+        mesh,
+        measured: Measured {
+            occluder, atlas, ..
+        },
+        views,
+        surfaces,
+        shortcuts,
+    } = sight;
+    watched(observer, |watcher| {
+        let stop = watcher.stop();
+        let mut observer = watcher;
+        report(&mut observer, TEXTURE)?;
+        let interreflection = Interreflection::new(mesh, occluder, brdf);
+        // What the surface mirrors of itself is small: the first guess at its texture will do.
+        let scene = Scene {
+            mesh,
+            occluder,
+            brdf,
+            surroundings: interreflection
+                .as_ref()
+                .map(|interreflection| Surroundings {
+                    interreflection,
+                    atlas,
+                    texture: &minimum.radiance,
+                    relit: None,
+                }),
+        };
+        let shader = Shader::new(occluder, brdf, light).stopped_by(stop);
+        let seen = TriangleShares::new(mesh, atlas, &shader);
+        let mut texture = reconstruct(&scene, views, surfaces, atlas, &shader, &seen, shortcuts);
+        clock.lap("texture");
+        report(&mut observer, ALBEDO)?;
+        let albedo = separate(&scene, atlas, &shader, &seen, &mut texture);
+        clock.lap("albedo");
+        // What long loops give after a stop is of no use.
+        report(&mut observer, ALBEDO)?;
+        Ok((texture, albedo))
+    })
+}
+
+/// From where the photographs were taken, with their names.
+fn cameras(views: &[View]) -> Vec<(String, Camera)> {
+    let camera = |view: &View| (view.name.clone(), view.camera.clone());
+    views.iter().map(camera).collect()
+}
+
+fn rounded(mut pixels: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    round_to_halves(pixels.as_flattened_mut());
+    pixels
+}
+
+/// What all stages need of a mesh.
+struct Measured {
+    occluder: Occluder,
+    surfaces: Vec<ViewSurface>,
+    atlas: Atlas,
+}
+
+impl Measured {
+    /// Looks at a mesh from all views; progress is reported as of `stage`.
+    fn new(
+        mesh: &Mesh,
+        views: &[View],
+        observer: &mut dyn Observer,
+        stage: (&str, f32),
+    ) -> Result<Self, Stopped> {
+        report(observer, stage)?;
+        let occluder = Occluder::new(mesh);
+        let surfaces = see(mesh, views, &occluder, observer, stage)?;
+        let density = wanted_density(mesh, views, &surfaces, TEXELS_PER_PIXEL);
+        let atlas = Atlas::new(mesh, &density);
+        Ok(Self {
+            occluder,
+            surfaces,
+            atlas,
+        })
+    }
+
+    /// The capture with what does not fit the mesh and the other views corrected, and the corrections; none where all fits.
+    fn registered<'c>(
+        &mut self,
+        stated: &'c Capture,
+        observer: &mut dyn Observer,
+    ) -> Result<(Cow<'c, Capture>, Vec<Correction>), Stopped> {
+        let found = register(&stated.mesh, &stated.views, &self.surfaces, &self.occluder);
+        if found.iter().all(|c| *c == Correction::default()) {
+            return Ok((Cow::Borrowed(stated), Vec::new()));
+        }
+        let capture = corrected(stated, &found);
+        if found.iter().any(Correction::turns) {
+            self.surfaces = see(
+                &stated.mesh,
+                &capture.views,
+                &self.occluder,
+                observer,
+                SURFACE,
+            )?;
+        }
+        Ok((capture, found))
+    }
+}
+
+/// How many of some views are looked from at once.
+fn at_once(views: &[View]) -> usize {
+    let pixels = views.iter().map(|view| view.photograph.usable.len()).max();
+    (PIXELS_AT_ONCE / pixels.unwrap_or(0).max(1)).clamp(1, VIEWS_AT_ONCE)
+}
+
+/// What all views see of a mesh.
+fn see(
+    mesh: &Mesh,
+    views: &[View],
+    occluder: &Occluder,
+    observer: &mut dyn Observer,
+    stage: (&str, f32),
+) -> Result<Vec<ViewSurface>, Stopped> {
+    let mut surfaces = Vec::with_capacity(views.len());
+    for some in views.chunks(at_once(views)) {
+        report(observer, stage)?;
+        let seen = some
+            .par_iter()
+            .map(|view| ViewSurface::new(mesh, occluder, &view.camera));
+        surfaces.par_extend(seen);
+    }
+    report(observer, stage)?;
+    Ok(surfaces)
+}
+
+/// Corrections, if there were any, with what else was found of the views' exposures.
+fn with_exposures(mut corrections: Vec<Correction>, exposures: &[f64]) -> Vec<Correction> {
+    corrections.resize(exposures.len(), Correction::default());
+    for (correction, factor) in corrections.iter_mut().zip(exposures) {
+        correction.exposure *= factor;
+    }
+    corrections
+}
+
+fn report(observer: &mut dyn Observer, (what, fraction): (&str, f32)) -> Result<(), Stopped> {
+    match observer.progress(what, fraction) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Stopped),
+    }
+}
+
+/// The nodes on which lights are sought.
+fn hemisphere(capture: &Capture, options: &SolveOptions) -> HemisphereGrid {
+    let stated = capture.light_hemisphere.radius.map(|r| r as f32);
+    HemisphereGrid::new(
+        options.frequency,
+        capture.light_hemisphere.up.as_vec3(),
+        options.radius.or(stated),
+        capture.mesh.centre(),
+    )
+}
+
+/// Pictures of the initial hemisphere and of each view's partial one (2.2).
+fn hemispheres(
+    capture: &Capture,
+    measured: &Measured,
+    grid: &HemisphereGrid,
+    observer: &mut dyn Observer,
+) -> Result<(Vec<HemispherePicture>, MinimumTexture), Stopped> {
+    let Measured {
+        surfaces, atlas, ..
+    } = measured;
+    report(observer, HEMISPHERES)?;
+    let minimum = minimum_texture(&capture.mesh, atlas, &capture.views, surfaces);
+    observer.interim(Interim::Texture {
+        atlas,
+        radiance: &minimum.radiance,
+    });
+    let mut partials: Vec<PartialHemisphere> = Vec::with_capacity(surfaces.len());
+    let at_once = at_once(&capture.views);
+    let some = capture.views.chunks(at_once).zip(surfaces.chunks(at_once));
+    for (views, surfaces) in some {
+        report(observer, HEMISPHERES)?;
+        let partial = |(view, surface): (&View, &ViewSurface)| {
+            let specular = SpecularImage::new(&capture.mesh, atlas, &minimum, view, surface);
+            specular.partial_hemisphere(grid, view.camera.position().as_vec3())
+        };
+        let first = partials.len();
+        partials.par_extend(views.par_iter().zip(surfaces).map(partial));
+        for (index, partial) in partials.iter().enumerate().skip(first) {
+            observer.interim(Interim::Partial {
+                view: index,
+                grid,
+                radiance: &partial.radiance,
+            });
+        }
+    }
+    let missing = MISSING_VIEWS.min(partials.len().saturating_sub(2));
+    let initial = InitialHemisphere::new(&partials, missing);
+    observer.interim(Interim::Initial {
+        grid,
+        radiance: &initial.radiance,
+    });
+    let from_above = FromAbove::new(grid, PICTURE_SIDE);
+    let picture = |name: String, radiance: &[[f32; 3]]| {
+        let mut picture = from_above.picture(radiance);
+        picture.radiance = rounded(picture.radiance);
+        HemispherePicture { name, picture }
+    };
+    let mut pictures = vec![picture("initial".to_owned(), &initial.radiance)];
+    for (i, partial) in partials.iter().enumerate() {
+        pictures.push(picture(format!("partial_{i:03}"), &partial.radiance));
+    }
+    Ok((pictures, minimum))
+}
+
+fn name_lamps(grid: &HemisphereGrid, found: &Estimate) -> Vec<SolutionLamp> {
+    find_lamps(grid, &found.radiance)
+        .into_iter()
+        .enumerate()
+        .map(|(i, lamp)| SolutionLamp {
+            name: format!("Light {}", i + 1),
+            direction: lamp.direction,
+            flux: lamp.flux.into(),
+            angular_radius: lamp.angular_radius,
+            nodes: lamp.nodes,
+        })
+        .collect()
+}
+
+/// What was not done, stages with the reason.
+fn skipped(found: &Estimate, corrections: &[Correction]) -> Skipped {
+    let brdf = found.brdf;
+    let stages = [
+        (
+            corrections.iter().any(Correction::turns),
+            "looking again with cameras turned: outlines fit, or are taken as stated",
+        ),
+        (
+            corrections.iter().any(Correction::scales),
+            "solving again with exposures evened out: the views agree, or are taken as stated",
+        ),
+        (
+            brdf.is_none() || found.refined.is_some(),
+            "refining the surface: as it is, it explains the highlights",
+        ),
+        (
+            brdf.is_some(),
+            "lights and roughness: no specular part was found",
+        ),
+        (
+            brdf.is_none_or(|brdf| brdf.specular_scale().is_some()),
+            "interreflection: the specular model leaves its strength open",
+        ),
+    ];
+    let not_run = stages.into_iter().filter(|(run, _)| !run);
+    Skipped {
+        left_out: found.left_out.clone(),
+        stages: not_run.map(|(_, why)| why.to_owned()).collect(),
+    }
+}
+
+fn summarise(views: &[ViewFit]) -> Fit {
+    let squared: f64 = views.iter().map(|v| v.squared).sum();
+    let count: usize = views.iter().map(|v| v.count).sum();
+    Fit {
+        residual_rms: (squared / count.max(1) as f64).sqrt(),
+        psnr_db_per_view: views.iter().map(|v| v.psnr_db).collect(),
+        misfit: None,
+    }
+}

@@ -1,0 +1,41 @@
+//! The document that the desktop application edits, and the mathematics of looking at it. No window and no graphics
+//! device in here.
+
+mod document;
+mod lamp;
+mod look;
+mod pointing;
+mod project;
+mod recovery;
+
+pub mod fixtures;
+#[cfg(test)]
+mod tests;
+
+pub use document::{Document, State};
+pub use lamp::{
+    ANGULAR_RADIUS, BaseLamp, Baseline, Colour, KELVIN, Lamp, LampId, MAX_STOPS, Origin, black_body,
+};
+pub use look::{LitLook, Look, Probe, ProbeLight};
+pub use pointing::{HighlightShare, Place, highlight_shares, place};
+pub use project::{EXTENSION, ProjectError, Saved, Snapshot};
+pub use recovery::{Recoverable, Recovery, state_folder};
+
+/// Vectors in files, as lists of three numbers.
+mod vector {
+    use glam::Vec3;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(
+        vector: &Vec3,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        vector.to_array().serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Vec3, D::Error> {
+        <[f32; 3]>::deserialize(deserializer).map(Vec3::from)
+    }
+}

@@ -1,0 +1,304 @@
+//! A look: one whole lighting set-up, as the renderers take it and as a list of edits.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::{Quat, Vec3};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::lamp::{Baseline, Lamp, LampId, Origin};
+use rekindle_relight::{LampNodes, LatLong, Lighting};
+
+/// Lamps whose directions' cosine is above this can't be told apart by `near` in an edit.
+const SAME_PLACE: f32 = 1.0 - 1e-6;
+
+/// A light probe around the object.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Probe {
+    /// The picture's file.
+    pub file: PathBuf,
+    /// Turn about the hemisphere's pole, radians, counter-clockwise seen from the pole.
+    pub rotation: f32,
+    /// Brightness in stops.
+    pub stops: f32,
+}
+
+/// A light probe's picture, ready to shine.
+#[derive(Debug)]
+pub struct ProbeLight {
+    file: PathBuf,
+    picture: LatLong,
+    /// Unturned, at the picture's own brightness.
+    patches: Vec<LampNodes>,
+}
+
+/// A lighting set-up.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Look {
+    /// What people call it.
+    pub name: String,
+    /// In the order of the list.
+    pub lamps: Vec<Lamp>,
+    /// The only lamp that shines, if one is chosen so: all others, light that belongs to no lamp and the probe rest.
+    pub solo: Option<LampId>,
+    /// Whether light of the estimate that belongs to no lamp shines.
+    pub remainder: bool,
+    /// Factor of the ambient part.
+    pub ambient: f32,
+    /// What surrounds the object.
+    pub probe: Option<Probe>,
+}
+
+/// A look as light, with the lamp of the document for each of the lighting's lamps.
+#[derive(Clone, Debug)]
+pub struct LitLook {
+    /// For the renderers. Muted lamps are in it, marked so.
+    pub lighting: Lighting,
+    /// One for each lamp of the lighting, in its order.
+    pub lamps: Vec<LampId>,
+}
+
+impl ProbeLight {
+    /// Reads an EXR or Radiance HDR picture. The error is a whole sentence that names the file.
+    pub fn load(file: &Path) -> Result<Arc<Self>, String> {
+        let picture = LatLong::load(file)?;
+        Ok(Arc::new(Self {
+            file: file.to_owned(),
+            patches: picture.patches(Quat::IDENTITY, 1.0),
+            picture,
+        }))
+    }
+
+    /// The picture's file.
+    pub fn file(&self) -> &Path {
+        &self.file
+    }
+
+    /// Radiance from a unit direction, turned about `up` and dimmed.
+    pub fn radiance(&self, probe: &Probe, up: Vec3, direction: Vec3) -> Vec3 {
+        let back = Quat::from_axis_angle(up, -probe.rotation);
+        self.picture.radiance(back * direction) * probe.stops.exp2()
+    }
+
+    /// Its light, turned about `up` and dimmed.
+    fn light(&self, probe: &Probe, up: Vec3) -> Vec<LampNodes> {
+        let turn = Quat::from_axis_angle(up, probe.rotation);
+        let gain = probe.stops.exp2();
+        let mut patches = self.patches.clone();
+        for patch in &mut patches {
+            patch.direction = (turn * patch.direction).normalize_or(up);
+            for node in &mut patch.nodes {
+                node.direction = turn * node.direction;
+                node.radiance *= gain;
+            }
+        }
+        patches
+    }
+}
+
+impl Look {
+    /// The light of the capture; lamps are numbered from `first`.
+    pub fn of_capture(base: &Baseline, first: u32) -> Self {
+        let lamps = (0..base.lamps.len())
+            .map(|i| base.estimated(LampId(first + i as u32), i))
+            .collect();
+        Self {
+            name: "Captured light".to_owned(),
+            lamps,
+            solo: None,
+            remainder: true,
+            ambient: 1.0,
+            probe: None,
+        }
+    }
+
+    /// The lamp of this id.
+    pub fn lamp(&self, id: LampId) -> Option<&Lamp> {
+        self.lamps.iter().find(|l| l.id == id)
+    }
+
+    /// The lamp of this id, to be changed.
+    pub fn lamp_mut(&mut self, id: LampId) -> Option<&mut Lamp> {
+        self.lamps.iter_mut().find(|l| l.id == id)
+    }
+
+    /// Removes a lamp.
+    pub fn delete(&mut self, id: LampId) {
+        self.lamps.retain(|l| l.id != id);
+        if self.solo == Some(id) {
+            self.solo = None;
+        }
+    }
+
+    /// Leaves only this lamp on, or ends that.
+    pub fn toggle_solo(&mut self, id: LampId) {
+        self.solo = (self.solo != Some(id)).then_some(id);
+    }
+
+    /// Puts a light probe in the place of everything that shines.
+    pub fn replace_by_probe(&mut self, file: PathBuf) {
+        for lamp in &mut self.lamps {
+            lamp.muted = true;
+        }
+        self.solo = None;
+        self.remainder = false;
+        self.ambient = 0.0;
+        self.probe = Some(Probe {
+            file,
+            rotation: 0.0,
+            stops: 0.0,
+        });
+    }
+
+    /// Whether a lamp sends no light in this look.
+    pub fn is_dark(&self, lamp: &Lamp) -> bool {
+        self.solo.map_or(lamp.muted, |solo| solo != lamp.id)
+    }
+
+    /// The look as light. `probe` is the one that the look names; without it there is none.
+    pub fn light(&self, base: &Baseline, probe: Option<&ProbeLight>) -> LitLook {
+        let lit = &base.lighting;
+        let environment = match (&self.probe, probe) {
+            (Some(set), Some(light)) if self.solo.is_none() => light.light(set, lit.up),
+            _ => Vec::new(),
+        };
+        LitLook {
+            lamps: self.lamps.iter().map(|l| l.id).collect(),
+            lighting: Lighting {
+                lamps: self
+                    .lamps
+                    .iter()
+                    .map(|lamp| base.nodes(lamp, self.is_dark(lamp)))
+                    .collect(),
+                remainder: if self.remainder && self.solo.is_none() {
+                    lit.remainder.clone()
+                } else {
+                    Vec::new()
+                },
+                environment,
+                ambient: lit.ambient * self.ambient,
+                ..*lit
+            },
+        }
+    }
+
+    /// The look as the entries of an `edits.json`, for a solution's light. The probe's file is named as it is.
+    pub fn edits(&self, base: &Baseline) -> Vec<Value> {
+        let mut edits = Vec::new();
+        let kept: Vec<Option<&Lamp>> = (0..base.lamps.len())
+            .map(|i| {
+                let is_kept =
+                    |l: &&Lamp| l.origin == Origin::Estimated(i) && l.angular_radius.is_none();
+                self.lamps.iter().find(is_kept)
+            })
+            .collect();
+        let solo = self.solo.and_then(|id| self.lamp(id));
+        let solo_kept = solo.filter(|lamp| kept.contains(&Some(*lamp)));
+        if let Some(near) = solo_kept.and_then(|lamp| base.own_direction(lamp)) {
+            edits.push(json!({ "solo": { "near": near.to_array() } }));
+        } else {
+            for (own, _) in base
+                .lamps
+                .iter()
+                .zip(&kept)
+                .filter(|(_, lamp)| lamp.is_none() || solo.is_some())
+            {
+                edits.push(json!({ "delete": { "near": own.direction.to_array() } }));
+            }
+        }
+        let mut moves = Vec::new();
+        let wanted = |lamp: &&Lamp| solo.is_none_or(|s| s.id == lamp.id);
+        for lamp in kept.iter().flatten().copied().filter(wanted) {
+            let Some(near) = base.own_direction(lamp) else {
+                continue;
+            };
+            let gain = base.gain(lamp);
+            if gain != Vec3::ONE {
+                edits.push(json!({ "gain": { "near": near.to_array(), "rgb": gain.to_array() } }));
+            }
+            if lamp.muted && solo.is_none() {
+                edits.push(json!({ "mute": { "near": near.to_array() } }));
+            }
+            if lamp.direction != near {
+                moves.push((near, lamp.direction));
+            }
+        }
+        for (near, to) in ordered(moves, base) {
+            edits.push(json!({ "move": { "near": near.to_array(), "to": to.to_array() } }));
+        }
+        self.push_surroundings(&mut edits);
+        self.push_discs(base, &kept, solo, &mut edits);
+        edits
+    }
+
+    fn push_surroundings(&self, edits: &mut Vec<Value>) {
+        if !self.remainder && self.solo.is_none() {
+            edits.push(json!({ "remainder": { "gain": 0.0 } }));
+        }
+        if let Some(probe) = self.probe.as_ref().filter(|_| self.solo.is_none()) {
+            edits.push(json!({ "environment": {
+                "file": probe.file,
+                "rotation_deg": probe.rotation.to_degrees(),
+                "gain": probe.stops.exp2(),
+            } }));
+        }
+        if self.ambient != 1.0 {
+            edits.push(json!({ "ambient": { "gain": self.ambient } }));
+        }
+    }
+
+    /// Lamps that are discs now. Dark ones are left out: they send no light.
+    fn push_discs(
+        &self,
+        base: &Baseline,
+        kept: &[Option<&Lamp>],
+        solo: Option<&Lamp>,
+        edits: &mut Vec<Value>,
+    ) {
+        let discs = self
+            .lamps
+            .iter()
+            .filter(|l| !kept.contains(&Some(*l)) && !self.is_dark(l));
+        for lamp in discs {
+            edits.push(json!({ "add": {
+                "direction": lamp.direction.to_array(),
+                "flux": base.flux(lamp).to_array(),
+                "angular_radius_deg": base.angular_radius(lamp).to_degrees(),
+            } }));
+            if solo.is_some() {
+                edits.push(json!({ "solo": { "near": lamp.direction.to_array() } }));
+            }
+        }
+    }
+}
+
+/// Moves in an order in which every lamp is alone where `near` looks for it. Lamps that change places in a circle need one
+/// of them parked on its way; two turns about one axis are one turn.
+fn ordered(mut moves: Vec<(Vec3, Vec3)>, base: &Baseline) -> Vec<(Vec3, Vec3)> {
+    let meet = |a: Vec3, b: Vec3| a.dot(b) > SAME_PLACE;
+    let mut done = Vec::with_capacity(moves.len());
+    while !moves.is_empty() {
+        let free = (0..moves.len()).find(|&i| {
+            let others = (0..moves.len()).filter(|&j| j != i);
+            others.into_iter().all(|j| !meet(moves[i].1, moves[j].0))
+        });
+        if let Some(free) = free {
+            done.push(moves.remove(free));
+            continue;
+        }
+        let (from, to) = moves[0];
+        let arc = Quat::from_rotation_arc(from, to);
+        let parked = (1..32)
+            .map(|k| Quat::IDENTITY.slerp(arc, k as f32 / 32.0) * from)
+            .find(|&place| {
+                let taken = moves.iter().flat_map(|&(a, b)| [a, b]);
+                let stand = base.lamps.iter().map(|l| l.direction);
+                taken.chain(stand).all(|d| !meet(place, d))
+            })
+            .unwrap_or(to);
+        done.push((from, parked));
+        moves[0].0 = parked;
+    }
+    done
+}
