@@ -164,7 +164,7 @@ fn read_pairs(path: &Path, origin: DVec3) -> anyhow::Result<Vec<[DVec3; 2]>> {
             .collect();
         match numbers.as_deref() {
             Some(&[x, y, z, u, v, w]) => {
-                pairs.push([DVec3::new(x, y, z), DVec3::new(u, v, w)].map(|point| point - origin))
+                pairs.push([DVec3::new(x, y, z), DVec3::new(u, v, w)].map(|point| point - origin));
             }
             _ => bail!(
                 "{}: line {} is not six numbers; write x,y,z of the mesh and X,Y,Z where it belongs",

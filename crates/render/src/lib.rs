@@ -2,9 +2,9 @@
 //!
 //! ```no_run
 //! # use std::sync::Arc;
-//! # use rekindle::render::{Background, FrameRequest, Gpu, Mode, Renderer, Surface};
-//! # fn show(solution: rekindle::solution::Solution, camera: rekindle::capture::Camera)
-//! # -> Result<(), rekindle::render::RenderError> {
+//! # use rekindle_render::{Background, FrameRequest, Gpu, Mode, Renderer, Surface};
+//! # fn show(solution: rekindle_solution::Solution, camera: rekindle_capture::Camera)
+//! # -> Result<(), rekindle_render::RenderError> {
 //! let gpu = Gpu::headless()?; // or Gpu::new(device, queue) with those of the window
 //! let mut renderer = Renderer::new(gpu)?;
 //! let surface = Arc::new(Surface::new(Arc::new(solution))); // takes a while: beside the window's thread
@@ -16,7 +16,7 @@
 //!     camera,
 //!     mode: Mode::Beauty,
 //!     exposure_ev: 0.0,
-//!     transform: rekindle::studio::ViewTransform::Agx,
+//!     transform: rekindle_relight::ViewTransform::Agx,
 //!     background: Background::Colour([0.1; 3]),
 //!     dragging: false,
 //! })?;

@@ -39,7 +39,7 @@ pub fn solution() -> Arc<Solution> {
     .into_iter()
     .enumerate()
     {
-        let middle = grid.nearest(towards.normalize_or_zero()).unwrap();
+        let middle = grid.nearest(towards.normalize_or_zero()).unwrap_or(0);
         let mut nodes: Vec<u32> = grid.neighbours(middle).map(|n| n as u32).collect();
         nodes.push(middle as u32);
         nodes.sort_unstable();
@@ -54,7 +54,7 @@ pub fn solution() -> Arc<Solution> {
             nodes,
         });
     }
-    radiance[grid.nearest(Vec3::new(0.0, 0.6, -0.8)).unwrap()] = [9.0; 3];
+    radiance[grid.nearest(Vec3::new(0.0, 0.6, -0.8)).unwrap_or(0)] = [9.0; 3];
     let ambient = Vec3::splat(0.4);
     let atlas = Atlas::new(&mesh, &vec![24.0; mesh.triangles.len()]);
     let light = lighting(&grid, &radiance, &lamps, ambient);

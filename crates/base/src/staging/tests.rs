@@ -40,7 +40,7 @@ fn staged(target: &Path) -> Staging {
 /// Runs one of the tests below that are for child processes, which is killed at a point.
 fn killed(test: &str, point: &str, folder: &Path) -> ExitStatus {
     Command::new(std::env::current_exe().unwrap())
-        .args([&format!("solution::staging::tests::{test}"), "--exact"])
+        .args([&format!("staging::tests::{test}"), "--exact"])
         .args(["--ignored", "--nocapture", "--quiet"])
         .env(KILL_AT, point)
         .env(CHILD_FOLDER, folder)

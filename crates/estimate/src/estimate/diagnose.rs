@@ -132,13 +132,13 @@ pub fn is_middling(misfit: &Misfit) -> bool {
     misfit.share > MOST_MISFIT || misfit.correlation > MIDDLING_CORRELATION
 }
 
-/// Whether a suspicion changes what is said of a fit whose σ is known to a part `known`. A view that holds most of a highlight
+/// Whether a suspicion changes what is said of a fit whose σ noise leaves unsure by a part `by_noise`. A view that holds most of a highlight
 /// decides what the others are fitted to, so that they are fitted better without it whether it is right or not: that counts
-/// only where something is left to be explained, or where σ changes by more than its interval allows.
-pub fn is_worth_saying(suspicion: &Suspicion, misfit: &Misfit, known: f32) -> bool {
+/// only where something is left to be explained, or where σ changes by more than noise would change it.
+pub fn is_worth_saying(suspicion: &Suspicion, misfit: &Misfit, by_noise: f32) -> bool {
     match suspicion.suspect {
         Suspect::View(_) => {
-            misfit.share > MOST_MISFIT || (suspicion.sigma_ratio - 1.0).abs() > known
+            misfit.share > MOST_MISFIT || (suspicion.sigma_ratio - 1.0).abs() > by_noise
         }
         _ => true,
     }

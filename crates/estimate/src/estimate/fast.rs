@@ -88,6 +88,8 @@ pub struct Fit {
     pub nodes: Vec<[f32; 3]>,
     /// Standard error of σ, radians; infinite where the data do not determine it.
     pub sigma_error: f32,
+    /// The same if residuals were noise, which neighbouring points don't share.
+    pub noise_error: f32,
     /// What it leaves that is no noise.
     pub misfit: Misfit,
 }
@@ -294,7 +296,7 @@ impl Solver<'_> {
             if watch.observer.enough() {
                 let error = settled.map_or(f64::INFINITY, |step| step.error);
                 let nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
-                return Ok(self.fit(&state, nodes, error));
+                return Ok(self.fit(&state, nodes, error, 1.0));
             }
         }
         go_on(watch.observer.progress("settling the roughness", 0.8))?;
@@ -302,24 +304,20 @@ impl Solver<'_> {
         let step = self.improve(&mut state, 4, EXACT, watch)?;
         let step = match step {
             Some(step) if !drop_unsupported(&mut state, EXACT) => step,
-            Some(_) => state.sigma_step(),
-            None => {
-                state.solve_lights(EXACT);
-                state.sigma_step()
-            }
+            _ => state.sigma_step(),
         };
         let widened = step.clustered_error / step.error;
-        let error = widened.max(1.0) * state.settle_sigma(&step, EXACT);
+        let by_noise = state.settle_sigma(&step, EXACT);
         drop_satellites(&mut state);
         drop_unsupported_in_the_end(&mut state);
         let state = even_out(self, state, &all);
         self.report(&state, watch)?;
         let nodes = merge_lamps(self, &state, &all);
-        Ok(self.fit(&state, nodes, error))
+        Ok(self.fit(&state, nodes, by_noise, widened.max(1.0)))
     }
 
     /// What a state on single nodes, or on cells where it was ended early, has found, with its radiance on the nodes.
-    fn fit(&self, state: &State<'_>, mut nodes: Vec<[f32; 3]>, sigma_error: f64) -> Fit {
+    fn fit(&self, state: &State<'_>, mut nodes: Vec<[f32; 3]>, by_noise: f64, widened: f64) -> Fit {
         let scale = self.coarse.scale;
         for value in nodes.iter_mut().flatten() {
             *value *= scale;
@@ -327,7 +325,8 @@ impl Solver<'_> {
         Fit {
             brdf: state.brdf,
             nodes: fill_compact_lamps(self.grid, state.brdf.sigma, &nodes),
-            sigma_error: sigma_error as f32,
+            sigma_error: (widened * by_noise) as f32,
+            noise_error: by_noise as f32,
             misfit: Misfit::of(state),
         }
     }
@@ -369,6 +368,8 @@ impl Solver<'_> {
             before = (round > 0).then_some((sigma, step));
             state.brdf.sigma = (sigma + change).clamp(0.003, 1.0) as f32;
         }
+        // Lights and residuals are those of the σ before the last step.
+        state.solve_lit(precision);
         Ok(None)
     }
 

@@ -393,8 +393,8 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, fit: Fit, suspicion: Optio
     let sigma = fit.brdf.sigma;
     let half_width = HALF_INTERVAL * fit.sigma_error;
     let mut interval = [sigma - half_width, sigma + half_width];
-    let suspicion =
-        suspicion.filter(|s| diagnose::is_worth_saying(s, &fit.misfit, half_width / sigma));
+    let by_noise = HALF_INTERVAL * fit.noise_error / sigma;
+    let suspicion = suspicion.filter(|s| diagnose::is_worth_saying(s, &fit.misfit, by_noise));
     if let Some(suspicion) = suspicion {
         // Under the other assumption it would be another.
         let other = suspicion.sigma_ratio * sigma;

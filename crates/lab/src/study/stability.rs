@@ -372,7 +372,7 @@ fn mistakes(base: &Recipe) -> Vec<Group> {
             &[45.0, 90.0],
             |recipe, degrees| {
                 lamps(recipe, |lamps| {
-                    lamps.angular_radius = degrees.to_radians() as f32
+                    lamps.angular_radius = degrees.to_radians() as f32;
                 });
             },
         ),

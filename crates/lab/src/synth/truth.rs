@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 
 use super::environment::MAPPING;
 use super::lamps::TrueLamp;
-use super::recipe::{Files, Material, Recipe};
+use super::recipe::{Files, Material, Mistake, Recipe};
 use rekindle_scene::reflectance::SpecularModel;
 
 /// All that is known of a made capture.
@@ -42,7 +42,7 @@ pub(super) fn describe(name: &str, recipe: &Recipe, lamps: &[TrueLamp], centre: 
             "triangles": errors.triangles,
             "normal_noise_deg": errors.normal_noise.to_degrees(),
         },
-        "mistake": recipe.mistake.map(|mistake| mistake.name()),
+        "mistake": recipe.mistake.map(Mistake::name),
         "split": "diffuse + specular = noise-free image",
         "alpha": "object coverage of the pixel; RGB is the mean over the pixel with background 0 (premultiplied)",
         "moved": lamps.first().filter(|_| recipe.truth_pictures).map(edit),
