@@ -299,6 +299,47 @@ fn what_others_put_there_is_never_lost() {
 }
 
 #[test]
+fn pictures_of_others_are_never_replaced() {
+    let bench = Bench::new();
+    bench.solve();
+    let render = [
+        "render",
+        "solution",
+        "--cameras",
+        "capture/transforms.json",
+        "-o",
+        "made",
+    ];
+    let export = ["export", "solution", "-o", "made"];
+    for (arguments, name) in [
+        (&render[..], "made/view_003.png"),
+        (&export[..], "made/light.hdr"),
+        (&export[..], "made/object.glb"),
+        (&export[..], "made/lights.csv"),
+    ] {
+        fs::create_dir_all(bench.path("made")).unwrap();
+        bench.write(name, "painted for a week");
+        let file = name.strip_prefix("made/").unwrap();
+        bench.refuses(arguments, &[file, "did not write", "another output folder"]);
+        assert_eq!(
+            fs::read_to_string(bench.path(name)).unwrap(),
+            "painted for a week"
+        );
+        assert_eq!(fs::read_dir(bench.path("made")).unwrap().count(), 1);
+        fs::remove_dir_all(bench.path("made")).unwrap();
+    }
+    // What the program wrote there, it writes anew.
+    for arguments in [&render[..], &export, &render, &export] {
+        let run = bench.run(arguments);
+        assert!(
+            run.status.success(),
+            "{}",
+            String::from_utf8_lossy(&run.stderr)
+        );
+    }
+}
+
+#[test]
 fn what_is_read_is_never_lost() {
     let bench = Bench::new();
     bench.solve();

@@ -11,7 +11,7 @@ use super::progress::Progress;
 use super::render::check_output;
 use super::{OutputArgs, print_json, print_line};
 use rekindle_base::files;
-use rekindle_base::staging::{cannot_write, check_overwrites_no_input};
+use rekindle_base::staging::{cannot_write, check_added};
 use rekindle_capture::{Capture, input_files};
 use rekindle_estimate::align::{AlignError, Alignment, Similarity, Start, align, read_points};
 use rekindle_solution::{manifest_of, write_mesh_transform, write_placed_mesh};
@@ -132,7 +132,7 @@ fn check_written(args: &AlignArgs, manifest: Option<&Path>) -> anyhow::Result<Ve
         let mut inputs = input_files(&args.capture)?;
         inputs.extend(args.pairs.iter().chain(&args.points).cloned());
         let name = name.to_string_lossy();
-        check_overwrites_no_input(folder, [name.as_ref()], &inputs)?;
+        check_added(folder, [name.as_ref()], &inputs)?;
     }
     check_output(if folder.as_os_str().is_empty() {
         Path::new(".")

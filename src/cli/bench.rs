@@ -82,7 +82,7 @@ pub(super) fn written(
     write: impl FnOnce(&Path) -> io::Result<Vec<String>>,
 ) -> anyhow::Result<()> {
     let files = write(staging.path()).map_err(cannot_write(folder))?;
-    staging.add().map_err(cannot_write(folder))?;
+    staging.add()?;
     progress.finish();
     if output.json {
         let files: Vec<_> = files

@@ -11,7 +11,7 @@ use super::interrupt;
 use super::progress::Progress;
 use super::render::check_output;
 use super::{OutputArgs, json_path, print_json, print_line};
-use rekindle_base::staging::{Staging, cannot_write, check_overwrites_no_input};
+use rekindle_base::staging::{Staging, cannot_write, check_added};
 use rekindle_base::text::csv_cell;
 use rekindle_capture::{Group, KNOTS, MergedPhoto, Origin, Photos, Response};
 use rekindle_solution::{write_rgb, write_rgba};
@@ -63,9 +63,8 @@ pub(super) fn run(args: &MergeArgs, output: OutputArgs) -> anyhow::Result<()> {
         views.push(view(group, &merged));
     }
     interrupt::check()?;
-    write_reports(staging.path(), &response, &views)
-        .and_then(|()| staging.add())
-        .map_err(cannot_write(&args.output))?;
+    write_reports(staging.path(), &response, &views).map_err(cannot_write(&args.output))?;
+    staging.add()?;
     progress.finish();
     if output.json {
         print_json(
@@ -86,7 +85,7 @@ fn check_inputs(args: &MergeArgs, photos: &Photos) -> anyhow::Result<()> {
     let pictures = groups.iter().map(|group| format!("{}.exr", group.name));
     let names: Vec<String> = pictures.chain(REPORTS.map(str::to_owned)).collect();
     let names = names.iter().map(String::as_str);
-    Ok(check_overwrites_no_input(&args.output, names, &inputs)?)
+    Ok(check_added(&args.output, names, &inputs)?)
 }
 
 fn write_picture(folder: &Path, name: &str, merged: &MergedPhoto) -> io::Result<()> {

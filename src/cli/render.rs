@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use super::interrupt;
 use super::progress::Progress;
 use super::{OutputArgs, json_path, print_json, print_line};
-use rekindle_base::staging::{Staging, cannot_write, check_overwrites_no_input};
+use rekindle_base::staging::{Staging, cannot_write, check_added};
 use rekindle_capture::{Camera, input_files, read_cameras};
 use rekindle_output::export::{self, Depth, PngFile, Shown};
 use rekindle_relight::{self as relight, Edit, Picture};
@@ -58,7 +58,7 @@ pub(super) fn run(args: &RenderArgs, output: OutputArgs) -> anyhow::Result<()> {
     let renderer = Renderer::new(&solution);
     let staging = Staging::within(&args.output).map_err(cannot_write(&args.output))?;
     let files = renderer.shoot(&shots, &edits, args.layers, &staging, &mut progress)?;
-    staging.add().map_err(cannot_write(&args.output))?;
+    staging.add()?;
     progress.finish();
     if output.json {
         let pictures: Vec<_> = files
@@ -112,7 +112,7 @@ fn check_inputs(args: &RenderArgs, shots: &[Shot]) -> anyhow::Result<()> {
         .flat_map(|shot| endings.iter().map(|end| format!("{}{end}", shot.stem)))
         .collect();
     let names = names.iter().map(String::as_str);
-    Ok(check_overwrites_no_input(&args.output, names, &inputs)?)
+    Ok(check_added(&args.output, names, &inputs)?)
 }
 
 /// One shot per frame of a cameras file, named by the stem of its file path, of what lies about `origin`.

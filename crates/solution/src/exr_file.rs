@@ -6,6 +6,7 @@ use std::path::Path;
 use exr::prelude::*;
 
 use rekindle_base::files;
+use rekindle_base::staging::MAKER;
 use rekindle_capture::exr_problem;
 
 /// More texels than a byte of a compressed file can hold.
@@ -64,15 +65,13 @@ fn write(path: &Path, width: u32, planes: Vec<(&str, Vec<f32>)>) -> io::Result<(
         })
         .collect();
     let width = width as usize;
-    Image::from_encoded_channels(
+    let mut image = Image::from_encoded_channels(
         (width, count / width.max(1)),
         encoding(),
         AnyChannels::sort(channels),
-    )
-    .write()
-    .non_parallel()
-    .to_file(path)
-    .map_err(to_io)
+    );
+    image.layer_data.attributes.software_name = Text::new_or_none(MAKER);
+    image.write().non_parallel().to_file(path).map_err(to_io)
 }
 
 /// Whether half floats hold these numbers exactly.

@@ -50,7 +50,7 @@ fn add(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<(
         .unwrap_or(Path::new("."));
     let staging = Staging::within(folder)?;
     write(&staging.path().join(name))?;
-    staging.add()
+    staging.add_all()
 }
 
 /// A matrix as rows.

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::Owned;
+use super::provenance::foreign;
 
 /// Names of files in the way that a message tells, at most.
 const TOLD: usize = 3;
@@ -98,15 +99,22 @@ pub fn check_owned(
         .unwrap_or_default()
         .others_in(folder)
         .map_err(cannot_write(folder))?;
-    let path = folder.to_owned();
-    match (known, others.is_empty()) {
-        (_, true) => Ok(()),
-        (false, _) => Err(DestinationError::Occupied { path, expected }),
-        (true, _) => Err(DestinationError::Others {
-            path,
-            found: told(&others),
-        }),
+    if !known && !others.is_empty() {
+        let path = folder.to_owned();
+        return Err(DestinationError::Occupied { path, expected });
     }
+    refuse_others(folder, others)
+}
+
+/// Fails if there are files of others in a folder.
+pub(super) fn refuse_others(folder: &Path, others: Vec<PathBuf>) -> Result<(), DestinationError> {
+    if others.is_empty() {
+        return Ok(());
+    }
+    Err(DestinationError::Others {
+        path: folder.to_owned(),
+        found: told(&others),
+    })
 }
 
 /// The first of some names.
@@ -130,8 +138,20 @@ pub fn check_holds_no_input(folder: &Path, inputs: &[PathBuf]) -> Result<(), Des
     refuse_input(folder, inputs, |input| input.starts_with(&real))
 }
 
+/// Fails if what is to be written into a folder by these names would replace one of the files that are read, or what others
+/// wrote, as far as that can be said before it is made.
+pub fn check_added<'a>(
+    folder: &Path,
+    names: impl IntoIterator<Item = &'a str> + Clone,
+    inputs: &[PathBuf],
+) -> Result<(), DestinationError> {
+    refuse_inputs_named(folder, names.clone(), inputs)?;
+    let others = foreign(folder, names).map_err(cannot_write(folder))?;
+    refuse_others(folder, others)
+}
+
 /// Fails if one of the files that are read is among those that are to be written into a folder by these names.
-pub fn check_overwrites_no_input<'a>(
+fn refuse_inputs_named<'a>(
     folder: &Path,
     names: impl IntoIterator<Item = &'a str>,
     inputs: &[PathBuf],
@@ -191,7 +211,7 @@ mod tests {
         let table = pictures.join("weights.csv");
         fs::write(&table, "x").unwrap();
         let inputs = [folder.path().join("pictures/../pictures/weights.csv")];
-        let written = |name: &'static str| check_overwrites_no_input(&pictures, [name], &inputs);
+        let written = |name: &'static str| check_added(&pictures, [name], &inputs);
         assert!(written("weights.csv").is_err());
         assert!(written("frames.json").is_ok());
         for (replaced, allowed) in [("pictures", false), (".", false), ("elsewhere", true)] {

@@ -7,6 +7,7 @@ mod exchange;
 mod fault;
 mod leftovers;
 mod owned;
+mod provenance;
 #[cfg(test)]
 mod tests;
 
@@ -17,13 +18,15 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 pub use destination::{
-    DestinationError, cannot_write, check_holds_no_input, check_overwrites_no_input, check_owned,
-    write_advice,
+    DestinationError, cannot_write, check_added, check_holds_no_input, check_owned, write_advice,
 };
 pub use owned::Owned;
+pub use provenance::MAKER;
 
+use destination::refuse_others;
 use exchange::{Exchange, exchange, sync_all, sync_names};
 use leftovers::{LOCK, MOVING, NEW, OLD, move_all, names, prefix_beside, prefix_within, settle};
+use provenance::may_replace;
 
 /// How many links are followed from a destination to what it is.
 const MOST_LINKS: usize = 40;
@@ -241,8 +244,23 @@ impl Staging {
         Ok(())
     }
 
-    /// Moves the folder's files into the target, which may hold others.
-    pub fn add(self) -> io::Result<()> {
+    /// Moves the folder's files into the target, which may hold others. What others wrote there is not replaced.
+    pub fn add(self) -> Result<(), DestinationError> {
+        let target = self.target.clone();
+        let failed = cannot_write(&target);
+        let mut others = Vec::new();
+        for name in names(&self.new).map_err(&failed)? {
+            let [there, new] = [&self.real_target, &self.new].map(|folder| folder.join(&name));
+            if !there.is_dir() && !may_replace(&there, &new).map_err(&failed)? {
+                others.push(name.into());
+            }
+        }
+        refuse_others(&target, others)?;
+        self.add_all().map_err(failed)
+    }
+
+    /// Moves the folder's files into the target in place of all that have their names, which someone has agreed to.
+    pub fn add_all(self) -> io::Result<()> {
         sync_all(&self.new)?;
         let _uninterrupted = unfinished();
         if !self.real_target.exists() {

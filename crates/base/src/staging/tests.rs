@@ -49,6 +49,9 @@ fn killed(test: &str, point: &str, folder: &Path) -> ExitStatus {
         .status
 }
 
+/// What a file says that this program wrote.
+const OLD_FILE: &str = "old, of rekindle";
+
 /// The folder of a child process; none where a person runs the tests that are ignored.
 fn child_folder() -> Option<PathBuf> {
     std::env::var_os(CHILD_FOLDER).map(PathBuf::from)
@@ -203,11 +206,14 @@ fn a_kill_while_adding_is_finished_by_the_next_run() {
     let target = parent.path().join("result");
     fs::create_dir(&target).unwrap();
     for name in ["one", "other", "three", "two"] {
-        fs::write(target.join(name), "old").unwrap();
+        fs::write(target.join(name), OLD_FILE).unwrap();
     }
     assert!(!killed("child_adds", "adding", parent.path()).success());
     let content = |name: &str| fs::read_to_string(target.join(name)).unwrap();
-    assert_eq!(["one", "three", "two"].map(content), ["new", "old", "old"]);
+    assert_eq!(
+        ["one", "three", "two"].map(content),
+        ["new", OLD_FILE, OLD_FILE]
+    );
     let next = Staging::within(&target).unwrap();
     assert!(
         next.settled()[0].contains("added now"),
@@ -217,7 +223,7 @@ fn a_kill_while_adding_is_finished_by_the_next_run() {
     drop(next);
     let all = ["one", "other", "three", "two"];
     assert_eq!(names_in(&target), all);
-    assert_eq!(all.map(content), ["new", "old", "new", "new"]);
+    assert_eq!(all.map(content), ["new", OLD_FILE, "new", "new"]);
 }
 
 #[test]

@@ -13,6 +13,7 @@ use exr::meta::header::Header;
 use exr::prelude::{Compression, LineOrder, Vec2};
 use rayon::prelude::*;
 
+use rekindle_base::staging::MAKER;
 use rekindle_relight::Stop;
 
 /// Takes the next rows of a picture: for each channel its values, row by row.
@@ -40,11 +41,12 @@ pub(super) fn write(
     });
     let names = names.collect::<io::Result<_>>()?;
     let width = width as usize;
-    let header = Header::new(Text::default(), (width, height as usize), names).with_encoding(
+    let mut header = Header::new(Text::default(), (width, height as usize), names).with_encoding(
         Compression::ZIP1,
         BlockDescription::ScanLines,
         LineOrder::Increasing,
     );
+    header.own_attributes.software_name = Text::new_or_none(MAKER);
     let file = BufWriter::new(File::create(path)?);
     let headers = [header.clone()];
     let mut next = 0;

@@ -13,7 +13,7 @@ use super::exr_bands::{self, Sink};
 use super::layers::Layers;
 use super::png_file::{Animation, Depth, PngFile, Shown};
 use super::renderer::{LitScene, Renderer};
-use rekindle_base::staging::{Staging, write_advice};
+use rekindle_base::staging::{DestinationError, Staging, write_advice};
 use rekindle_capture::Camera;
 use rekindle_relight::ViewTransform;
 use rekindle_relight::{Band, Lighting, Stop};
@@ -90,6 +90,9 @@ pub enum ExportError {
     /// Nothing to do.
     #[error("nothing to export; choose at least one file type and one camera")]
     Nothing,
+    /// Others' files are in the way.
+    #[error(transparent)]
+    Destination(#[from] DestinationError),
     /// Writing failed.
     #[error("{path}: can't be written: {source}; {}", write_advice(.source))]
     Write {
@@ -184,13 +187,13 @@ pub fn export(
     let mut finished = Vec::new();
     match make(renderer, job, staging.path(), stop, progress, &mut finished) {
         Ok(files) => {
-            staging.add().map_err(failed)?;
+            staging.add()?;
             progress(1.0, "");
             Ok(files.iter().map(|name| job.folder.join(name)).collect())
         }
         Err(ExportError::Stopped { .. }) if !finished.is_empty() => {
             keep_only(staging.path(), &finished).map_err(failed)?;
-            staging.add().map_err(failed)?;
+            staging.add()?;
             Err(ExportError::Stopped {
                 kept: finished.len(),
             })

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use glam::Vec3;
 
+use rekindle_base::staging::MAKER;
 use rekindle_relight::Stop;
 
 /// Rows that are encoded and compressed at once.
@@ -82,6 +83,9 @@ fn encoder(
         Depth::Eight => png::BitDepth::Eight,
         Depth::Sixteen => png::BitDepth::Sixteen,
     });
+    encoder
+        .add_text_chunk("Software".to_owned(), MAKER.to_owned())
+        .map_err(to_io)?;
     encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
     Ok(encoder)
 }

@@ -16,7 +16,7 @@ use super::light_map::{MapLayout, Orientation, Part};
 use super::notes::{notes, readme};
 use super::{blender, glb, light_list, mitsuba, obj, textures, usd};
 use crate::export::{self as pictures, ExportError, Renderer};
-use rekindle_base::staging::{Staging, write_advice};
+use rekindle_base::staging::{DestinationError, Staging, write_advice};
 use rekindle_capture::transforms;
 use rekindle_relight::Stop;
 use rekindle_relight::ViewTransform;
@@ -99,6 +99,9 @@ pub enum JobError {
     /// The pictures with layers can't be made.
     #[error(transparent)]
     Pictures(ExportError),
+    /// Others' files are in the way.
+    #[error(transparent)]
+    Destination(#[from] DestinationError),
     /// Writing failed.
     #[error("{path}: can't be written: {source}; {}", write_advice(.source))]
     Write {
@@ -162,7 +165,7 @@ pub fn export(
     if stop() {
         return Err(JobError::Stopped);
     }
-    staging.add().map_err(failed)?;
+    staging.add()?;
     Ok(Exported {
         files: names.iter().map(|name| job.folder.join(name)).collect(),
         notes,

@@ -6,6 +6,7 @@ use std::path::Path;
 use glam::Vec3;
 
 use super::asset::Asset;
+use rekindle_base::staging::MAKER;
 use rekindle_relight::srgb;
 use rekindle_scene::hemisphere::Picture;
 use rekindle_solution::write_rgb;
@@ -34,17 +35,16 @@ pub fn base_colour_png(asset: &Asset) -> io::Result<Vec<u8>> {
         .iter()
         .flat_map(|&c| srgb(Vec3::from(c)).to_array().map(code))
         .collect();
-    let mut png = io::Cursor::new(Vec::new());
-    image::write_buffer_with_format(
-        &mut png,
-        &bytes,
-        width,
-        height,
-        image::ColorType::Rgb8,
-        image::ImageFormat::Png,
-    )
-    .map_err(io::Error::other)?;
-    Ok(png.into_inner())
+    let mut file = Vec::new();
+    let mut encoder = png::Encoder::new(&mut file, width, height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder
+        .add_text_chunk("Software".to_owned(), MAKER.to_owned())
+        .map_err(io::Error::other)?;
+    let mut writer = encoder.write_header().map_err(io::Error::other)?;
+    writer.write_image_data(&bytes).map_err(io::Error::other)?;
+    writer.finish().map_err(io::Error::other)?;
+    Ok(file)
 }
 
 /// The base colour times a factor as the linear texture of an EXR file.
