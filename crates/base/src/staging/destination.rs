@@ -103,17 +103,17 @@ pub fn check_owned(
         let path = folder.to_owned();
         return Err(DestinationError::Occupied { path, expected });
     }
-    refuse_others(folder, others)
+    refuse_others(folder, &others)
 }
 
 /// Fails if there are files of others in a folder.
-pub(super) fn refuse_others(folder: &Path, others: Vec<PathBuf>) -> Result<(), DestinationError> {
+pub(super) fn refuse_others(folder: &Path, others: &[PathBuf]) -> Result<(), DestinationError> {
     if others.is_empty() {
         return Ok(());
     }
     Err(DestinationError::Others {
         path: folder.to_owned(),
-        found: told(&others),
+        found: told(others),
     })
 }
 
@@ -147,7 +147,7 @@ pub fn check_added<'a>(
 ) -> Result<(), DestinationError> {
     refuse_inputs_named(folder, names.clone(), inputs)?;
     let others = foreign(folder, names).map_err(cannot_write(folder))?;
-    refuse_others(folder, others)
+    refuse_others(folder, &others)
 }
 
 /// Fails if one of the files that are read is among those that are to be written into a folder by these names.

@@ -255,7 +255,7 @@ impl Staging {
                 others.push(name.into());
             }
         }
-        refuse_others(&target, others)?;
+        refuse_others(&target, &others)?;
         self.add_all().map_err(failed)
     }
 
