@@ -111,6 +111,7 @@ fn a_solve_is_stopped_in_every_stage_and_the_window_closed_in_one() {
 #[test]
 fn a_mesh_that_lies_elsewhere_is_aligned_by_points_undone_and_saved() {
     let folder = tempfile::tempdir().expect("a folder");
+    let other = capture("spot_paper");
     misplace(folder.path());
     let (capture, _) = Capture::load_unplaced(folder.path()).expect("a capture");
     let mut window = window(Some(Source::Path(folder.path().to_owned())));
@@ -151,8 +152,20 @@ fn a_mesh_that_lies_elsewhere_is_aligned_by_points_undone_and_saved() {
     wait_for(&mut window, "No camera sees the mesh.");
     window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Y);
     wait_for(&mut window, "Aligned");
-    click(&mut window, "Save in the capture");
-    wait_for(&mut window, "Saved in the capture");
+    // Something else is not opened before the place is dealt with.
+    drop_on(&mut window, &other);
+    wait_for(&mut window, "Save the changes?");
+    assert!(has_part(&window, "The mesh's place has changes"));
+    click(&mut window, "Cancel");
+    wait(&mut window, "end of the question", |w| {
+        !has(w, "Save the changes?")
+    });
+    assert!(has(&window, "Save in the capture") && !has(&window, "spot_paper"));
+    drop_on(&mut window, &other);
+    wait_for(&mut window, "Save the changes?");
+    click(&mut window, "Save");
+    wait_for(&mut window, "Saved");
+    wait_for(&mut window, "spot_paper");
     drop(window);
     let aligned = Capture::load(folder.path()).expect("seen now");
     let moved = aligned.mesh.positions.iter().zip(&capture.mesh.positions);

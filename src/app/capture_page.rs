@@ -11,6 +11,7 @@ use eframe::egui::{
 use super::commands::Action;
 use super::placing::{Outcome, Placing, State};
 use super::points::ByPoints;
+use super::projects::Then;
 use super::settings::Estimation;
 use super::theme::Mark;
 use super::{Request, Shared, exposures, theme};
@@ -170,13 +171,14 @@ impl CapturePage {
         self.placing.is_unsaved()
     }
 
-    /// Writes the mesh's place into the capture, or, where it has no file for it, asks where to write the mesh.
-    pub(super) fn save_place(&mut self, worker: &mut Worker) {
-        self.placing.save_place(worker);
+    /// Writes the mesh's place into the capture, or, where it has no file for it, asks where to write the mesh; then something
+    /// else is to be done.
+    pub(super) fn save_place(&mut self, worker: &mut Worker, then: Then) {
+        self.placing.save_place(worker, then);
     }
 
-    /// What came of saving the mesh's place, once: the file, or what went wrong.
-    pub fn take_saved(&mut self) -> Option<Result<PathBuf, String>> {
+    /// What came of saving the mesh's place, once: the file and what to do then, or what went wrong.
+    pub(super) fn take_saved(&mut self) -> Option<Result<(PathBuf, Option<Then>), String>> {
         self.placing.take_saved()
     }
 

@@ -432,9 +432,9 @@ impl App {
         }
     }
 
-    fn save_place(&mut self) {
+    fn save_place(&mut self, then: Then) {
         if let Some(page) = &mut self.capture {
-            page.save_place(&mut self.worker);
+            page.save_place(&mut self.worker, then);
         }
     }
 
@@ -721,9 +721,14 @@ impl App {
             }
         }
         match self.capture.as_mut().and_then(CapturePage::take_saved) {
-            Some(Ok(path)) => {
+            Some(Ok((path, then))) => {
                 let text = path.display().to_string();
                 self.notices.add(Weight::Done, "Saved", text);
+                match then {
+                    Some(then) if self.has_unsaved_document() => self.projects.ask(then),
+                    Some(then) => self.go_on(ctx, then),
+                    None => {}
+                }
             }
             Some(Err(text)) => self.notices.add(Weight::Error, "Saving failed", text),
             None => {}
@@ -900,8 +905,7 @@ impl App {
             _ => "The mesh's place".to_owned(),
         };
         match self.projects.show(ctx, &name) {
-            // A mesh's place is saved here, a project perhaps after a dialog; then what was wanted can be asked for again.
-            Some(Answer::Save(_)) if self.has_unsaved_place() => self.save_place(),
+            Some(Answer::Save(then)) if self.has_unsaved_place() => self.save_place(then),
             Some(Answer::Save(then)) => self.save(Some(then)),
             Some(Answer::Discard(then)) => self.go_on(ctx, then),
             Some(Answer::Cancel) | None => {}

@@ -9,6 +9,7 @@ use glam::DMat4;
 use super::commands::Action;
 use super::history::History;
 use super::points::progress_ui;
+use super::projects::Then;
 use super::theme::{self, Mark};
 use super::{Request, Shared};
 use crate::worker::{Latest, OpenedCapture, Purpose, Source, Worker};
@@ -50,6 +51,8 @@ pub(super) struct Placing {
     kept: DMat4,
     saving: bool,
     saved: Arc<Latest<Saved>>,
+    /// What to do once the place is written.
+    then: Option<Then>,
 }
 
 impl Placing {
@@ -66,6 +69,7 @@ impl Placing {
             kept: DMat4::IDENTITY,
             saving: false,
             saved: Arc::default(),
+            then: None,
         }
     }
 
@@ -103,8 +107,10 @@ impl Placing {
         ![self.written, self.kept].contains(&self.now.moved)
     }
 
-    /// Writes the place into the capture's file, or, where there is none, asks where to write the mesh.
-    pub(super) fn save_place(&mut self, worker: &mut Worker) {
+    /// Writes the place into the capture's file, or, where there is none, asks where to write the mesh; then something else is
+    /// to be done.
+    pub(super) fn save_place(&mut self, worker: &mut Worker, then: Then) {
+        self.then = Some(then);
         match self.manifest() {
             Some(manifest) => self.save(worker, manifest),
             None => self.pick_mesh(worker),
@@ -148,13 +154,14 @@ impl Placing {
         });
     }
 
-    /// What came of saving, once: the file, or what went wrong.
-    pub(super) fn take_saved(&mut self) -> Option<Result<PathBuf, String>> {
+    /// What came of saving, once: the file and what to do then, or what went wrong.
+    pub(super) fn take_saved(&mut self) -> Option<Result<(PathBuf, Option<Then>), String>> {
         let saved = self.saved.take()?;
         self.saving = false;
+        let then = self.then.take();
         Some(saved.map(|(path, written, kept)| {
             (self.written, self.kept) = (written, kept);
-            path
+            (path, then)
         }))
     }
 
@@ -237,6 +244,7 @@ impl Placing {
                     manifest.display()
                 ));
             if save.clicked() {
+                self.then = None;
                 self.save(shared.worker, manifest);
             }
         }
@@ -245,6 +253,7 @@ impl Placing {
             .add_enabled(!self.saving, save)
             .on_hover_text("Write the mesh where it lies now as an OBJ file");
         if save.clicked() {
+            self.then = None;
             self.pick_mesh(shared.worker);
         }
     }

@@ -228,7 +228,7 @@ impl Projects {
                     ui.add_space(theme::GAP);
                     ui.horizontal(|ui| {
                         let save = ui.add(theme::main_button(ui, "Save"));
-                        if save.on_hover_text("Save the project, then go on").clicked() {
+                        if save.on_hover_text("Save, then go on").clicked() {
                             answer = Some(Answer::Save(then.clone()));
                         }
                         let discard = ui.button("Don't save");
