@@ -1,9 +1,9 @@
 //! The window. It draws state and sends commands; all work is done by the [`Worker`]'s threads.
 //!
-//! The rooms of the window are its pages: [`welcome`], [`capture_page`], [`estimation`] and [`relight`]. What they share:
-//! [`theme`] has the look, [`commands`] every command with its keys, [`viewport`] the picture of the object, [`disc`] the
-//! hemisphere seen from above, [`notices`] the messages. A mesh that lies elsewhere is brought to its place on the capture's
-//! page: [`placing`] offers it, and [`points`] are set where silhouettes alone don't tell.
+//! The rooms of the window are its pages: `welcome`, `capture_page`, `estimation` and `relight`. What they share:
+//! `theme` has the look, `commands` every command with its keys, `viewport` the picture of the object, `disc` the
+//! hemisphere seen from above, `notices` the messages. A mesh that lies elsewhere is brought to its place on the capture's
+//! page: `placing` offers it, and `points` are set where silhouettes alone don't tell.
 
 mod capture_page;
 mod commands;

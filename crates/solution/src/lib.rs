@@ -87,7 +87,7 @@ pub struct HemispherePicture {
 pub struct Solution {
     /// The capture's name.
     pub name: String,
-    /// What it was made of, see [`origin`]; empty in solutions that were written before this was kept.
+    /// What it was made of, see [`origin()`]; empty in solutions that were written before this was kept.
     pub origin: String,
     /// The estimation method.
     pub method: Method,

@@ -1,8 +1,8 @@
 //! Bringing the mesh into the cameras' frame: the similarity transform under which it fits to the photographs' silhouettes.
 //!
-//! Started from what is stated, from points and where photographs show them ([`marks`]), or from nothing: then many rotations
-//! are tried on points of the surface ([`start`]). The best are settled by least squares on blurred silhouettes, from coarse to
-//! fine ([`silhouettes`]). The photographs must say what the object covers, by alpha or by masks; only marks do without.
+//! Started from what is stated, from points and where photographs show them (`marks`), or from nothing: then many rotations
+//! are tried on points of the surface (`start`). The best are settled by least squares on blurred silhouettes, from coarse to
+//! fine (`silhouettes`). The photographs must say what the object covers, by alpha or by masks; only marks do without.
 
 mod descent;
 mod marks;

@@ -168,7 +168,7 @@ impl Observer for &Watcher<'_> {
     }
 }
 
-/// Does some work while a second thread asks the observer every [`EVERY`] whether to go on. Without that thread, if the
+/// Does some work while a second thread asks the observer every 25 ms whether to go on. Without that thread, if the
 /// system has none to give, it is asked between the steps only.
 pub fn watched<T>(observer: &mut dyn Observer, work: impl FnOnce(&Watcher<'_>) -> T) -> T {
     let watcher = Watcher {
