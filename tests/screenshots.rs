@@ -1,6 +1,7 @@
 //! Pictures of every state of the window, drawn without a screen:
 //! `cargo test --release --test screenshots -- --ignored` writes screenshots/*.png.
 
+#[path = "window/driver.rs"]
 mod driver;
 
 use std::ops::ControlFlow;

@@ -652,7 +652,7 @@ impl App {
         let (word, label) = if action == Action::Undo {
             ("Undone", document.undo())
         } else {
-            ("Done again", document.redo())
+            ("Redone", document.redo())
         };
         if let Some(label) = label {
             self.notices

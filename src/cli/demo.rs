@@ -22,7 +22,7 @@ const FOLDER: &str = "rekindle-demo";
 const CAPTURE: &str = "capture";
 const SOLUTION: &str = "solution";
 const PICTURES: &str = "pictures";
-/// Name of the picture under the light of the capture, without extension.
+/// Name of the picture under the captured lighting, without extension.
 const ORIGINAL: &str = "original";
 /// Name of the picture with a lamp moved.
 const MOVED: &str = "light_1_moved";
@@ -108,7 +108,7 @@ fn take_pictures(
 ) -> anyhow::Result<Vec<(String, String)>> {
     let mut wishes = vec![(
         ORIGINAL.to_owned(),
-        "the light of the capture".to_owned(),
+        "the captured lighting".to_owned(),
         Vec::new(),
     )];
     for (i, lamp) in solution.lamps.iter().enumerate() {

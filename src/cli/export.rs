@@ -38,7 +38,7 @@ pub(super) struct ExportArgs {
     /// Layout of light.exr and light.hdr; files of one program have its own
     #[arg(long, value_enum, default_value_t)]
     orientation: Orientation,
-    /// Turn of light.exr and light.hdr to the right, degrees
+    /// Rotation of light.exr and light.hdr to the right, degrees
     #[arg(
         long,
         value_name = "DEGREES",

@@ -51,7 +51,7 @@ pub(super) struct EstimationArgs {
     /// Take cameras and exposures as stated, even where outlines and radiances do not fit
     #[arg(long)]
     as_stated: bool,
-    /// Do also what is left out because it changes nothing to speak of, to see that it does
+    /// Do everything, also what is skipped because it hardly changes the result
     #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',')]
     do_all: Vec<ShortcutArg>,
 }

@@ -50,7 +50,7 @@ fn origin(raw: &RawMesh) -> DVec3 {
     origin_near(used)
 }
 
-/// [`origin`] of points.
+/// The origin for points: see [`Mesh::origin`].
 pub fn origin_near(points: impl Iterator<Item = DVec3>) -> DVec3 {
     let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     let (low, high) = points.fold(none, |(low, high), p| (low.min(p), high.max(p)));

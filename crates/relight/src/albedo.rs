@@ -1,4 +1,4 @@
-//! The pseudo-albedo: diffuse radiance ÷ irradiance under the light of the capture (eq. 20), so that the new diffuse
+//! The pseudo-albedo: diffuse radiance ÷ irradiance under the captured lighting (eq. 20), so that the new diffuse
 //! radiance is pseudo-albedo × new irradiance (eq. 18–19).
 //!
 //! Where no estimated light reaches the surface, or no view saw it, there is nothing to divide: such texels are filled

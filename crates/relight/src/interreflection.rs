@@ -2,7 +2,7 @@
 //!
 //! The irradiance of a point x by interreflection is E(x) = ∫ B(y) T(cos θ_x) T(cos θ_y) cos θ_x dω over the directions
 //! in which another surface point y is seen, B being y's diffuse radiance towards normal incidence and T the diffuse
-//! transmittance of [`Brdf`]. Under the light of the capture B is the diffuse texture itself. Under new light it is
+//! transmittance of [`Brdf`]. Under the captured lighting B is the diffuse texture itself. Under new light it is
 //! pseudo-albedo × irradiance, with irradiance again direct plus interreflected: a radiosity problem (Goral et al.
 //! 1984), solved by Jacobi iteration.
 //!

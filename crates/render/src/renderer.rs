@@ -75,7 +75,7 @@ struct Current {
 /// The light on the device.
 struct Light {
     parts: Vec<Current>,
-    /// Whether it is the light of the capture, so that the stored texture is its diffuse part.
+    /// Whether it is the captured lighting, so that the stored texture is its diffuse part.
     stored: bool,
     lists: Lists,
     /// Shadow maps of lamps that are not baked.

@@ -33,7 +33,7 @@ pub struct Surface {
     pub(super) unit: f32,
     /// Pseudo-albedo that is 1 on the device.
     pub(super) albedo_unit: f32,
-    /// The light of the capture.
+    /// The captured lighting.
     pub(super) original: Lighting,
     /// Per vertex the part of the sky that nothing hides, weighted by the cosine, 0 to 255: what is known of the visibility
     /// of any light before it is baked.

@@ -123,7 +123,7 @@ pub struct Solution {
     pub mesh: Mesh,
     /// Where each triangle lies in the textures.
     pub atlas: Atlas,
-    /// Diffuse radiance per texel under the light of the capture.
+    /// Diffuse radiance per texel under the captured lighting.
     pub diffuse: Vec<[f32; 3]>,
     /// Pseudo-albedo per texel.
     pub albedo: Vec<[f32; 3]>,
@@ -134,7 +134,7 @@ pub struct Solution {
 }
 
 impl Solution {
-    /// The light of the capture, ready to be edited.
+    /// The captured lighting, ready to be edited.
     pub fn lighting(&self) -> Lighting {
         lighting(&self.grid, &self.radiance, &self.lamps, self.ambient)
     }
@@ -146,7 +146,7 @@ impl Solution {
         serde_json::from_str(&text).unwrap_or_default()
     }
 
-    /// Radiance to be shown as white: a little above the brightest diffuse parts under the light of the capture, so that all
+    /// Radiance to be shown as white: a little above the brightest diffuse parts under the captured lighting, so that all
     /// pictures of a solution have one exposure and highlights can be told from them.
     pub fn white(&self) -> f32 {
         (1.3 * self.brightest(&self.diffuse)).max(f32::MIN_POSITIVE)

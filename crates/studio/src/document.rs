@@ -60,7 +60,7 @@ pub struct Document {
 }
 
 impl State {
-    /// One look with the light of the capture.
+    /// One look with the captured lighting.
     pub fn new(base: &Baseline) -> Self {
         Self {
             looks: vec![Look::of_capture(base, 0)],
@@ -107,7 +107,7 @@ impl State {
         Some(copy)
     }
 
-    /// Adds a look with the light of the capture and shows it.
+    /// Adds a look with the captured lighting and shows it.
     pub fn add_look(&mut self, base: &Baseline) {
         let mut look = Look::of_capture(base, self.next_lamp);
         self.next_lamp = self.next_lamp.saturating_add(base.lamps.len() as u32);
@@ -220,7 +220,7 @@ impl Document {
         &self.solution
     }
 
-    /// The light of the capture.
+    /// The captured lighting.
     pub fn base(&self) -> &Arc<Baseline> {
         &self.base
     }

@@ -74,7 +74,7 @@ pub struct BaseLamp {
     pub angular_radius: f32,
 }
 
-/// The light of the capture: what looks start from and edits refer to.
+/// The captured lighting: what looks start from and edits refer to.
 #[derive(Clone, Debug)]
 pub struct Baseline {
     /// As the solution has it.

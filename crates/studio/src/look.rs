@@ -98,7 +98,7 @@ impl ProbeLight {
 }
 
 impl Look {
-    /// The light of the capture; lamps are numbered from `first`.
+    /// The captured lighting; lamps are numbered from `first`.
     pub fn of_capture(base: &Baseline, first: u32) -> Self {
         let lamps = (0..base.lamps.len())
             .map(|i| base.estimated(LampId(first + i as u32), i))

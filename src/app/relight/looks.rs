@@ -64,7 +64,7 @@ pub(super) fn show(ui: &mut egui::Ui, document: &mut Document, editing: &mut Edi
 
 fn menu(ui: &mut egui::Ui, document: &mut Document, editing: &mut Editing, index: usize) {
     let name = document.state().looks.get(index).map(|l| l.name.clone());
-    let tip = "A look with the light of the capture";
+    let tip = "A look with the captured lighting";
     if ui.button("New look").on_hover_text(tip).clicked() {
         document.edit("New look", State::add_look);
         ui.close();

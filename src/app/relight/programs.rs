@@ -171,8 +171,8 @@ impl Programs {
                     .range(-180.0..=180.0)
                     .suffix("°"),
             )
-            .accessible_name("Turn of light maps")
-            .on_hover_text("Turn of light.exr and light.hdr to the right");
+            .accessible_name("Rotation")
+            .on_hover_text("Rotation of light.exr and light.hdr to the right, degrees");
         });
         ui.end_row();
         ui.label("");

@@ -29,7 +29,7 @@ pub enum Kind {
     Object,
     /// The photograph.
     Photo,
-    /// The rendering under the light of the capture.
+    /// The rendering under the captured lighting.
     Render,
     /// The photograph on the left of a line, the rendering on its right.
     Wipe,
@@ -54,7 +54,7 @@ impl Kind {
             Self::Photo => ("Photo", "The photograph taken here"),
             Self::Render => (
                 "Render",
-                "What the reference renderer shows from here under the light of the capture",
+                "What the reference renderer shows from here under the captured lighting",
             ),
             Self::Wipe => (
                 "Wipe",

@@ -605,7 +605,7 @@ impl Viewport {
         }
     }
 
-    /// Asks for what an input camera shows under the light of the capture.
+    /// Asks for what an input camera shows under the captured lighting.
     fn ask_for_comparison(
         &mut self,
         worker: &Worker,

@@ -18,7 +18,7 @@ const COVERED: f32 = 0.999;
 /// PSNR of a solution's pictures, dB, one per view.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ViewErrors {
-    /// From elsewhere, under the light of the capture.
+    /// From elsewhere, under the captured lighting.
     pub novel: Vec<f32>,
     /// Under new light, by the case's name. Empty where the light couldn't be made, as no lamp was found.
     pub relit: Vec<(String, Vec<f32>)>,

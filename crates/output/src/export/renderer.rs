@@ -44,12 +44,12 @@ impl<'a> Renderer<'a> {
         self.solution
     }
 
-    /// The light of the capture.
+    /// The captured lighting.
     pub fn original(&self) -> &Lighting {
         &self.original
     }
 
-    /// Prepares a light. The light of the capture shows the stored diffuse texture, any other pseudo-albedo × irradiance.
+    /// Prepares a light. The captured lighting shows the stored diffuse texture, any other pseudo-albedo × irradiance.
     pub fn light(&'a self, lighting: &Lighting) -> LitScene<'a> {
         let solution = self.solution;
         let shader = Shader::new(&self.occluder, solution.brdf, lighting);

@@ -1,8 +1,6 @@
 //! The window, driven without a screen by the names that a screen reader reads.
 
-mod driver;
-
-use driver::{
+use crate::driver::{
     ON_MESH, capture, click, click_at, coarse, drop_on, has, has_part, mark, misplace, placed,
     point_on_mesh, wait, wait_for, wait_for_iteration, wait_for_part, window,
 };

@@ -1,8 +1,6 @@
 //! A capture as other programs would write it is solved as well as the original: through a distorting lens, in 16-bit PNG
 //! files with straight alpha, with a mesh in binary PLY, in a scene that nerfstudio moved and scaled.
 
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::fs;
 use std::path::Path;
 use std::process::Command;

@@ -1,13 +1,9 @@
 //! What `rekindle synth` and `rekindle bench` promise on the command line.
 
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
-mod command;
-
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use command::rekindle;
+use crate::command::rekindle;
 use rekindle_capture::Capture;
 use rekindle_estimate::estimate::{EstimateParams, Unobserved};
 use rekindle_lab::synth::{Lamps, Light, Material, Object, Places, Recipe, make};

@@ -1,15 +1,11 @@
 //! What the program promises on the command line, checked on a capture with known truth.
 
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
-mod command;
-
 use std::fmt::Write as _;
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use command::rekindle;
+use crate::command::rekindle;
 use rekindle_capture::read_radiance;
 use serde_json::{Value, json};
 

@@ -1,10 +1,8 @@
 //! From the demo to a saved project and back, driven without a screen.
 
-mod driver;
-
 use std::path::Path;
 
-use driver::{Window, click, coarse, drop_on, has, has_part, wait_for, window};
+use crate::driver::{Window, click, coarse, drop_on, has, has_part, wait_for, window};
 use eframe::egui::{self, Modifiers, Pos2, vec2};
 use egui_kittest::kittest::Queryable as _;
 
@@ -93,7 +91,7 @@ fn the_demo_is_relit_exported_saved_and_comes_back_with_the_same_pixels() {
     assert!(folder.path().join("evening.solution").is_dir());
     drop(window);
 
-    let mut window = driver::window(None);
+    let mut window = crate::driver::window(None);
     window.step();
     drop_on(&mut window, &folder.path().join("evening.rekindle"));
     wait_for(&mut window, "Lit hemisphere");

@@ -13,7 +13,7 @@ use rekindle_solution::{Solution, SolveOptions, solve};
 
 fn folder(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/captures")
+        .join("../../tests/captures")
         .join(name)
 }
 

@@ -1,7 +1,5 @@
 //! Every bad input ends in exit status 2 with one message that names what is wrong, and nothing is written.
 
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

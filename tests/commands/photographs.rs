@@ -1,13 +1,9 @@
 //! The commands that make captures of photographs: merging brackets and aligning the mesh.
 
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
-mod command;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use command::rekindle;
+use crate::command::rekindle;
 use glam::DVec3;
 use rekindle_capture::{Capture, View};
 use serde_json::{Value, json};

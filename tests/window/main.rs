@@ -1,0 +1,5 @@
+//! The window, driven without a screen by the names that a screen reader reads.
+
+mod driver;
+mod pages;
+mod relighting;
