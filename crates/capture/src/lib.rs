@@ -1,4 +1,16 @@
 //! What was measured: the photographs, their cameras and the mesh, read from a capture folder.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use rekindle_capture::Capture;
+//!
+//! let capture = Capture::load("capture".as_ref())?;
+//! for view in &capture.views {
+//!     println!("{}: {}×{}", view.name, view.camera.width, view.camera.height);
+//! }
+//! # Ok(())
+//! # }
+//! ```
 
 mod brackets;
 mod camera;

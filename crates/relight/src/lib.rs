@@ -1,5 +1,17 @@
 //! New light on the object: lighting and its edits, shading, the textures that relighting needs, and the reference
 //! renderer.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use rekindle_relight::{Lighting, apply, load};
+//! # fn lighting() -> Lighting { unimplemented!() }
+//!
+//! let edits = load("edits.json".as_ref())?;
+//! let lighting = apply(&edits, &lighting())?;
+//! println!("{} lamps", lighting.lamps.len());
+//! # Ok(())
+//! # }
+//! ```
 
 mod albedo;
 mod ambient;

@@ -9,6 +9,20 @@
 //! | `cameras.json` | from where the photographs were taken, as a `transforms.json` without photographs |
 //! | `mesh.ply`, `mesh.obj` | the surface with texture coordinates |
 //! | `diffuse.exr`, `albedo.exr`, `confidence.exr` | textures: diffuse radiance, pseudo-albedo, how far each texel is known |
+//!
+//! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use rekindle_capture::Capture;
+//! use rekindle_estimate::estimate::{EstimateParams, Unobserved};
+//! use rekindle_solution::{SolveOptions, solve};
+//!
+//! let capture = Capture::load("capture".as_ref())?;
+//! let options = SolveOptions { estimate: EstimateParams::default(), frequency: 70, radius: None };
+//! let solution = solve(&capture, &options, 0.0, &mut Unobserved)?;
+//! solution.save("solution".as_ref())?;
+//! # Ok(())
+//! # }
+//! ```
 
 mod error;
 mod exr_file;

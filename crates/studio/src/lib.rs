@@ -1,5 +1,20 @@
 //! The document that the desktop application edits, and the mathematics of looking at it. No window and no graphics
 //! device in here.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use glam::Vec3;
+//! use rekindle_solution::Solution;
+//! use rekindle_studio::Document;
+//!
+//! let solution = Solution::load("solution".as_ref())?;
+//! let mut document = Document::new(solution.into(), Some("solution".into()));
+//! let lamp = document.edit("Add a lamp", |state, base| state.add_lamp(base, Vec3::Y));
+//! document.undo();
+//! # let _ = lamp;
+//! # Ok(())
+//! # }
+//! ```
 
 mod document;
 mod lamp;

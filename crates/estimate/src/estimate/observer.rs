@@ -13,7 +13,8 @@ use rekindle_scene::reflectance::SpecularModel;
 use rekindle_scene::surface::Atlas;
 
 /// A solve was stopped by its observer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("stopped")]
 pub struct Stopped;
 
 /// One step of the minimisation.
