@@ -309,20 +309,28 @@ fn pictures_of_others_are_never_replaced() {
         "made",
     ];
     let export = ["export", "solution", "-o", "made"];
-    for (arguments, name) in [
-        (&render[..], "made/view_003.png"),
-        (&export[..], "made/light.hdr"),
-        (&export[..], "made/object.glb"),
-        (&export[..], "made/lights.csv"),
+    // Of some files it is known before the work that others wrote them, of some only after it.
+    for (arguments, file, is_early) in [
+        (&render[..], "view_003.png", true),
+        (&export[..], "object.glb", false),
+        (&export[..], "light.hdr", false),
+        (&export[..], "lights.csv", false),
     ] {
         fs::create_dir_all(bench.path("made")).unwrap();
-        bench.write(name, "painted for a week");
-        let file = name.strip_prefix("made/").unwrap();
-        bench.refuses(arguments, &[file, "did not write", "another output folder"]);
-        assert_eq!(
-            fs::read_to_string(bench.path(name)).unwrap(),
-            "painted for a week"
-        );
+        let path = bench.path("made").join(file);
+        fs::write(&path, "painted for a week").unwrap();
+        let parts = [file, "did not write"];
+        if is_early {
+            bench.refuses(arguments, &parts);
+        } else {
+            check_refusal(
+                &bench.run(arguments),
+                &[&parts[..], &["what was made is in", "made-2"]].concat(),
+            );
+            assert!(bench.path("made-2").join(file).is_file());
+            fs::remove_dir_all(bench.path("made-2")).unwrap();
+        }
+        assert_eq!(fs::read_to_string(path).unwrap(), "painted for a week");
         assert_eq!(fs::read_dir(bench.path("made")).unwrap().count(), 1);
         fs::remove_dir_all(bench.path("made")).unwrap();
     }

@@ -33,6 +33,18 @@ pub enum DestinationError {
         /// What is in the way.
         found: String,
     },
+    /// The same, known only when the work was done.
+    #[error(
+        "{path}: holds {found}, which this program did not write there and which would be lost; what was made is in {kept}"
+    )]
+    KeptBeside {
+        /// The folder.
+        path: PathBuf,
+        /// What is in the way.
+        found: String,
+        /// Where the files are.
+        kept: PathBuf,
+    },
     /// A file that is read would be replaced.
     #[error(
         "{path}: {input} is read and would be lost by writing there; choose another output folder"
@@ -51,6 +63,17 @@ pub enum DestinationError {
         /// Why.
         source: io::Error,
     },
+}
+
+impl DestinationError {
+    /// What was made is in `kept`, as files of others are in its way.
+    pub(super) fn kept_beside(path: &Path, others: &[PathBuf], kept: PathBuf) -> Self {
+        Self::KeptBeside {
+            path: path.to_owned(),
+            found: told(others),
+            kept,
+        }
+    }
 }
 
 /// What becomes of a failure to write to a place.
@@ -107,7 +130,7 @@ pub fn check_owned(
 }
 
 /// Fails if there are files of others in a folder.
-pub(super) fn refuse_others(folder: &Path, others: &[PathBuf]) -> Result<(), DestinationError> {
+fn refuse_others(folder: &Path, others: &[PathBuf]) -> Result<(), DestinationError> {
     if others.is_empty() {
         return Ok(());
     }

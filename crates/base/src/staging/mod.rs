@@ -23,11 +23,12 @@ pub use destination::{
 pub use owned::Owned;
 pub use provenance::MAKER;
 
-use destination::refuse_others;
 use exchange::{Exchange, exchange, sync_all, sync_names};
 use leftovers::{LOCK, MOVING, NEW, OLD, move_all, names, prefix_beside, prefix_within, settle};
 use provenance::may_replace;
 
+/// How many folders beside a destination are tried for what can't be put into it.
+const MOST_BESIDE: usize = 10_000;
 /// How many links are followed from a destination to what it is.
 const MOST_LINKS: usize = 40;
 
@@ -244,7 +245,8 @@ impl Staging {
         Ok(())
     }
 
-    /// Moves the folder's files into the target, which may hold others. What others wrote there is not replaced.
+    /// Moves the folder's files into the target, which may hold others. What others wrote there is not replaced: where it is in
+    /// the way, the files are put into a new folder beside the target, so that the work is not lost.
     pub fn add(self) -> Result<(), DestinationError> {
         let target = self.target.clone();
         let failed = cannot_write(&target);
@@ -255,8 +257,10 @@ impl Staging {
                 others.push(name.into());
             }
         }
-        refuse_others(&target, &others)?;
-        self.add_all().map_err(failed)
+        if others.is_empty() {
+            return self.add_all().map_err(failed);
+        }
+        Err(self.keep_beside(&others))
     }
 
     /// Moves the folder's files into the target in place of all that have their names, which someone has agreed to.
@@ -279,6 +283,23 @@ impl Staging {
         move_all(&self.new, &self.real_target)?;
         sync_names(&self.real_target);
         fs::remove_file(moving)
+    }
+
+    /// Becomes a new folder beside the target, in whose way files of others are. Returns the error that says so.
+    fn keep_beside(&self, others: &[PathBuf]) -> DestinationError {
+        let beside = |number: usize| {
+            let mut name = self.real_target.file_name().unwrap_or_default().to_owned();
+            name.push(format!("-{number}"));
+            parent(&self.real_target).join(name)
+        };
+        let kept = (2..MOST_BESIDE)
+            .map(beside)
+            .find(|path| fs::symlink_metadata(path).is_err());
+        let kept = kept.unwrap_or_default();
+        match sync_all(&self.new).and_then(|()| fs::rename(&self.new, &kept)) {
+            Ok(()) => DestinationError::kept_beside(&self.target, others, kept),
+            Err(source) => cannot_write(&kept)(source),
+        }
     }
 
     /// Becomes the target, where nothing is.

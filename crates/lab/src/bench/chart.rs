@@ -1,5 +1,6 @@
 //! Panels of curves as SVG, all in one style.
 
+use rekindle_base::staging::MAKER;
 use std::io;
 use std::ops::Range;
 
@@ -84,7 +85,8 @@ pub(crate) fn draw(panels: &[Panel], columns: usize, size: [u32; 2]) -> io::Resu
     let mut svg = String::new();
     draw_all(&mut svg, panels, (rows, columns), whole)
         .map_err(|error| io::Error::other(error.to_string()))?;
-    Ok(svg)
+    // Who made it, by which it may be replaced.
+    Ok(svg.replacen('>', &format!("><desc>{MAKER}</desc>"), 1))
 }
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
