@@ -138,12 +138,12 @@ fn normals_that_are_off_are_doubted() {
     assert_doubted(&wrong, "normals off by degrees", &["Normals turned by"]);
 }
 
-/// A capture whose camera number `view` is carried about the object by half a degree.
-fn orbited(name: &str, view: usize) -> Solution {
+/// A capture whose camera number `view` is carried about the object by an angle.
+fn orbited(name: &str, view: usize, degrees: f64) -> Solution {
     changed(name, |capture| {
         let centre = capture.mesh.centre().as_dvec3();
         let turn = DAffine3::from_translation(centre)
-            * DAffine3::from_rotation_y(0.5_f64.to_radians())
+            * DAffine3::from_rotation_y(degrees.to_radians())
             * DAffine3::from_translation(-centre);
         let camera = &mut capture.views[view].camera;
         camera.world_from_camera = turn * camera.world_from_camera;
@@ -152,13 +152,13 @@ fn orbited(name: &str, view: usize) -> Solution {
 
 #[test]
 fn a_view_that_contradicts_the_others_is_named() {
-    let wrong = orbited("spot_near", 4);
+    let wrong = orbited("spot_near", 4, 1.0);
     assert_doubted(&wrong, "a camera elsewhere", &["view_004.exr contradicts"]);
 }
 
 #[test]
 fn the_interval_holds_what_one_camera_does() {
-    let solution = orbited("spot_paper", 1);
+    let solution = orbited("spot_paper", 1, 0.5);
     let truth = std::fs::read(folder("spot_paper").join("truth/truth.json")).unwrap();
     let truth: serde_json::Value = serde_json::from_slice(&truth).unwrap();
     let sigma = truth["material"]["sigma"].as_f64().unwrap() as f32;

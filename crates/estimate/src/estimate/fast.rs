@@ -304,7 +304,11 @@ impl Solver<'_> {
         let step = self.improve(&mut state, 4, EXACT, watch)?;
         let step = match step {
             Some(step) if !drop_unsupported(&mut state, EXACT) => step,
-            _ => state.sigma_step(),
+            Some(_) => state.sigma_step(),
+            None => {
+                state.solve_lights(EXACT);
+                state.sigma_step()
+            }
         };
         let widened = step.clustered_error / step.error;
         let by_noise = state.settle_sigma(&step, EXACT);
@@ -332,7 +336,8 @@ impl Solver<'_> {
     }
 
     /// Reweighting, lights and a step of σ in turn, until σ stands still. Returns the step at which it did, which has
-    /// not been taken: the lights are those of the present σ. After `rounds` without standing still there is none.
+    /// not been taken. After `rounds` without standing still there is none. Lights and residuals are those of the present σ in
+    /// any case.
     fn improve(
         &self,
         state: &mut State<'_>,
@@ -364,12 +369,14 @@ impl Solver<'_> {
             if is_small(change) {
                 return Ok(Some(step));
             }
+            // Lights and residuals stay those of σ.
+            if round + 1 == rounds {
+                break;
+            }
             // While the weights still settle, slopes of two rounds belong to two objectives.
             before = (round > 0).then_some((sigma, step));
             state.brdf.sigma = (sigma + change).clamp(0.003, 1.0) as f32;
         }
-        // Lights and residuals are those of the σ before the last step.
-        state.solve_lit(precision);
         Ok(None)
     }
 
