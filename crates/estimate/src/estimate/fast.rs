@@ -336,8 +336,8 @@ impl Solver<'_> {
     }
 
     /// Reweighting, lights and a step of σ in turn, until σ stands still. Returns the step at which it did, which has
-    /// not been taken. After `rounds` without standing still there is none. Lights and residuals are those of the present σ in
-    /// any case.
+    /// not been taken: the lights are those of the present σ. After `rounds` without standing still there is none, and lights and
+    /// residuals are those of the σ before.
     fn improve(
         &self,
         state: &mut State<'_>,
@@ -368,10 +368,6 @@ impl Solver<'_> {
             }
             if is_small(change) {
                 return Ok(Some(step));
-            }
-            // Lights and residuals stay those of σ.
-            if round + 1 == rounds {
-                break;
             }
             // While the weights still settle, slopes of two rounds belong to two objectives.
             before = (round > 0).then_some((sigma, step));
