@@ -3,6 +3,7 @@
 
 #![cfg(target_os = "linux")]
 
+use std::fs::File;
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -12,6 +13,8 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_mins(2);
 /// Mean brightness of 255 that only a highlight has.
 const HIGHLIGHT: f32 = 200.0;
+/// File of what the program says.
+const MESSAGES: &str = "messages.txt";
 /// Side of the screen's width and height in pixels.
 const SCREEN: [u32; 2] = [1280, 820];
 
@@ -35,7 +38,10 @@ impl Drop for Desk {
 impl Desk {
     fn new() -> Self {
         let mut server = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-nolisten", "tcp", "-screen", "0"])
+            // Without -noreset the server starts anew whenever its last client has gone, in the middle of whose first call
+            // the program may be.
+            .args(["-displayfd", "1", "-noreset", "-nolisten", "tcp"])
+            .args(["-screen", "0"])
             .arg(format!("{}x{}x24", SCREEN[0], SCREEN[1]))
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
@@ -63,6 +69,7 @@ impl Desk {
             .env("XDG_DATA_HOME", home.join("data"))
             .env("XDG_STATE_HOME", home.join("state"))
             .current_dir(home)
+            .stderr(File::create(home.join(MESSAGES)).expect("a file"))
             .spawn()
             .expect("the program starts");
         self.program = Some(program);
@@ -75,6 +82,12 @@ impl Desk {
             .output()
             .expect("xdotool is installed");
         String::from_utf8_lossy(&run.stdout).trim().to_owned()
+    }
+
+    /// What the program has written to standard error.
+    fn messages(&self) -> String {
+        let messages = std::fs::read(self.folder.path().join(MESSAGES)).unwrap_or_default();
+        String::from_utf8_lossy(&messages).into_owned()
     }
 
     /// The window, if its title begins so.
@@ -97,7 +110,8 @@ impl Desk {
                 .map(|window| self.xdotool(&["getwindowname", &window]));
             assert!(
                 ended.is_none() && since.elapsed() < PATIENCE,
-                "no window called {title} but {seen:?}; the program ended: {ended:?}"
+                "no window called {title} but {seen:?}; the program ended: {ended:?} and said: {}",
+                self.messages()
             );
             if let (Some(key), 0) = (key, round % 30) {
                 if let Some(window) = self.window(".*Rekindle") {

@@ -9,3 +9,11 @@ pub fn rekindle(arguments: &[&str]) -> Output {
         .output()
         .expect("the program starts")
 }
+
+/// The same of arguments with which the program has to succeed.
+pub fn succeed(arguments: &[&str]) -> Output {
+    let run = rekindle(arguments);
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert!(run.status.success(), "{said}");
+    run
+}

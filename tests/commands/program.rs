@@ -5,7 +5,7 @@ use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use crate::command::rekindle;
+use crate::command::{rekindle, succeed};
 use rekindle_capture::read_radiance;
 use serde_json::{Value, json};
 
@@ -40,18 +40,13 @@ fn solve_and_check(name: &str, folder: &Path) -> PathBuf {
 fn solve_and_check_at(source: &Path, folder: &Path) -> PathBuf {
     let name = source.display();
     let solution = folder.join("solution");
-    let run = rekindle(&[
+    succeed(&[
         "solve",
         source.to_str().unwrap(),
         "-o",
         solution.to_str().unwrap(),
         "--quiet",
     ]);
-    assert!(
-        run.status.success(),
-        "{}",
-        String::from_utf8_lossy(&run.stderr)
-    );
     let found = read_json(&solution.join("solution.json"));
     let truth = read_json(&source.join("truth/truth.json"));
     let material = &truth["material"];
@@ -157,7 +152,7 @@ fn surveyed_coordinates_lose_nothing() {
         [(&solutions[0], near_cameras), (&solutions[1], far_cameras)].map(|(solution, cameras)| {
             let pictures = solution.with_extension("pictures");
             let paths = [solution, &cameras, &pictures].map(|path| path.to_str().unwrap());
-            let run = rekindle(&[
+            succeed(&[
                 "render",
                 paths[0],
                 "--cameras",
@@ -166,11 +161,6 @@ fn surveyed_coordinates_lose_nothing() {
                 paths[2],
                 "--quiet",
             ]);
-            assert!(
-                run.status.success(),
-                "{}",
-                String::from_utf8_lossy(&run.stderr)
-            );
             pictures.join("view_000.exr")
         });
     let off = difference(&pictures[0], &pictures[1]);
@@ -188,7 +178,7 @@ fn recovers_the_papers_surface_and_renders_edits() {
     let edits = folder.path().join("edits.json");
     std::fs::write(&edits, r#"[{"mute": {"near": [0, 1, 0]}}]"#).unwrap();
     let pictures = folder.path().join("pictures");
-    let run = rekindle(&[
+    succeed(&[
         "render",
         moved.to_str().unwrap(),
         "--cameras",
@@ -200,11 +190,6 @@ fn recovers_the_papers_surface_and_renders_edits() {
         "--layers",
         "--quiet",
     ]);
-    assert!(
-        run.status.success(),
-        "{}",
-        String::from_utf8_lossy(&run.stderr)
-    );
     for ending in ["exr", "png", "diffuse.exr", "specular.exr"] {
         let path = pictures.join(format!("view_000.{ending}"));
         assert!(path.exists(), "{} is missing", path.display());

@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use crate::command::rekindle;
+use crate::command::{rekindle, succeed};
 use rekindle_capture::Capture;
 use rekindle_estimate::estimate::{EstimateParams, Unobserved};
 use rekindle_lab::synth::{Lamps, Light, Material, Object, Places, Recipe, make};
@@ -32,7 +32,7 @@ fn lines(path: &Path) -> Vec<Vec<String>> {
 fn a_bench_has_a_row_for_every_iteration_and_the_errors_of_the_end() {
     let folder = tempfile::tempdir().unwrap();
     let (source, into) = (capture(), folder.path().join("bench"));
-    let run = rekindle(&[
+    succeed(&[
         "bench",
         source.to_str().unwrap(),
         "-o",
@@ -45,11 +45,6 @@ fn a_bench_has_a_row_for_every_iteration_and_the_errors_of_the_end() {
         "30",
         "--quiet",
     ]);
-    assert!(
-        run.status.success(),
-        "{}",
-        String::from_utf8_lossy(&run.stderr)
-    );
     let runs = lines(&into.join("runs.csv"));
     let iterations = lines(&into.join("iterations.csv"));
     assert_eq!(runs.len(), 3, "a head and two rounds");
@@ -121,7 +116,7 @@ fn wishes_that_contradict_each_other_are_refused() {
 fn a_made_capture_is_solved_and_benched_as_any_other() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let made = rekindle(&[
+    let made = succeed(&[
         "synth",
         "-o",
         &path("made"),
@@ -142,14 +137,9 @@ fn a_made_capture_is_solved_and_benched_as_any_other() {
         "--quiet",
         "--json",
     ]);
-    assert!(
-        made.status.success(),
-        "{}",
-        String::from_utf8_lossy(&made.stderr)
-    );
     assert!(String::from_utf8_lossy(&made.stdout).contains("\"views\":6"));
     // Two captures of one name are told apart.
-    let bench = rekindle(&[
+    succeed(&[
         "bench",
         &path("made"),
         &path("made"),
@@ -160,11 +150,6 @@ fn a_made_capture_is_solved_and_benched_as_any_other() {
         "--frequency",
         "20",
     ]);
-    assert!(
-        bench.status.success(),
-        "{}",
-        String::from_utf8_lossy(&bench.stderr)
-    );
     let runs = lines(&folder.path().join("bench/runs.csv"));
     let names: Vec<&str> = runs.iter().map(|row| row[0].as_str()).collect();
     assert_eq!(names, ["capture", "made", "made-2"]);

@@ -498,8 +498,11 @@ fn place_cameras(
     if manifest.applied.is_some() {
         let undone: Vec<DAffine3> = views.iter().map(|v| v.camera.world_from_camera).collect();
         for (view, frame) in views.iter_mut().zip(&manifest.frames) {
-            view.camera.world_from_camera = frame.stated_pose;
-            view.camera.world_from_camera.translation -= mesh.origin;
+            let size = (view.camera.width, view.camera.height);
+            view.camera = frame
+                .lens
+                .camera(size, frame.stated_pose)
+                .seen_about(mesh.origin);
         }
         if seen(views) {
             warnings.push(

@@ -28,6 +28,16 @@ pub struct SurfacePoint {
     pub normal: Vec3,
 }
 
+/// What becomes of normals where a surface is moved by an affine transform.
+pub(super) fn normals_moved_by(transform: &DMat4) -> impl Fn(Vec3) -> Vec3 {
+    let to_normal = DMat3::from_mat4(*transform).inverse().transpose();
+    move |normal| {
+        (to_normal * normal.as_dvec3())
+            .normalize_or_zero()
+            .as_vec3()
+    }
+}
+
 impl Mesh {
     /// Smallest and largest coordinates over all vertices that triangles use.
     pub fn bounds(&self) -> (Vec3, Vec3) {
@@ -78,15 +88,13 @@ impl Mesh {
     /// The mesh moved by an affine transform about its origin, which is not to mirror.
     #[must_use]
     pub fn transformed(&self, transform: &DMat4) -> Self {
-        let to_normal = DMat3::from_mat4(*transform).inverse().transpose();
+        let turned = normals_moved_by(transform);
         Self {
             origin: self.origin,
             positions: (self.positions.iter())
                 .map(|p| transform.transform_point3(p.as_dvec3()).as_vec3())
                 .collect(),
-            normals: (self.normals.iter())
-                .map(|n| (to_normal * n.as_dvec3()).normalize_or_zero().as_vec3())
-                .collect(),
+            normals: self.normals.iter().map(|&n| turned(n)).collect(),
             uvs: self.uvs.clone(),
             triangles: self.triangles.clone(),
         }

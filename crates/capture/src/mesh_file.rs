@@ -1,9 +1,9 @@
 //! Finding and reading the mesh file, and making it fit to use: every vertex gets a unit normal.
 
 use super::error::CaptureError;
-use super::mesh::Mesh;
+use super::mesh::{Mesh, normals_moved_by};
 use super::{gltf, obj, ply};
-use glam::{DMat3, DMat4, DVec3, Vec2, Vec3};
+use glam::{DMat4, DVec3, Vec2, Vec3};
 use rekindle_base::files;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -27,14 +27,12 @@ pub(super) struct RawMesh {
 
 impl RawMesh {
     fn transform(&mut self, transform: &DMat4) {
-        let to_normal = DMat3::from_mat4(*transform).inverse().transpose();
         for position in &mut self.positions {
             *position = transform.transform_point3(*position);
         }
+        let turned = normals_moved_by(transform);
         for normal in &mut self.normals {
-            *normal = (to_normal * normal.as_dvec3())
-                .normalize_or_zero()
-                .as_vec3();
+            *normal = turned(*normal);
         }
     }
 }

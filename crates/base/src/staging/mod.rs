@@ -296,6 +296,7 @@ impl Staging {
             .map(beside)
             .find(|path| fs::symlink_metadata(path).is_err());
         let kept = kept.unwrap_or_default();
+        let _uninterrupted = unfinished();
         match sync_all(&self.new).and_then(|()| fs::rename(&self.new, &kept)) {
             Ok(()) => DestinationError::kept_beside(&self.target, others, kept),
             Err(source) => cannot_write(&kept)(source),
@@ -320,7 +321,9 @@ fn parent(path: &Path) -> &Path {
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        unfinished().retain(|folders| folders.path != self.folders.path);
+        // Whoever ends the program finds the folder in the list or gone.
+        let mut all = unfinished();
         self.folders.remove();
+        all.retain(|folders| folders.path != self.folders.path);
     }
 }
