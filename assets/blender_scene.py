@@ -19,7 +19,7 @@ from mathutils import Matrix, Vector
 # "lamps": every lamp is a light of its own, to be moved and dimmed; "probe": the light is the picture of it, exact;
 # "imported": that of the object's file.
 LIGHT = "lamps"
-# "beckmann": the estimated lobe itself; "principled": what other programs understand.
+# "beckmann": the estimated lobe itself; "principled": what other programs understand. A GGX lobe is the principled one.
 MATERIAL = "beckmann"
 # Another file in place of scene.json's mesh, with its own material: object.glb or object.usda.
 OBJECT = ""
@@ -81,7 +81,7 @@ def material(scene, here):
     texture.image = image(here / scene["base_colour"], linear_space())
     output = nodes.new("ShaderNodeOutputMaterial")
     stated = scene["material"]
-    if MATERIAL == "principled":
+    if MATERIAL == "principled" or stated["specular"] == "ggx":
         shader = nodes.new("ShaderNodeBsdfPrincipled")
         shader.distribution = "GGX"
         shader.inputs["Roughness"].default_value = stated["roughness"]
@@ -102,7 +102,7 @@ def material(scene, here):
             shader.inputs["Fac"].default_value = stated["f0"]
             links.new(diffuse.outputs[0], shader.inputs[1])
             links.new(glossy.outputs[0], shader.inputs[2])
-            if stated["specular"] == "microfacet":
+            if stated["specular"] == "beckmann":
                 fresnel = nodes.new("ShaderNodeFresnel")
                 fresnel.inputs["IOR"].default_value = stated["ior"]
                 links.new(fresnel.outputs[0], shader.inputs["Fac"])

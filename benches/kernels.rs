@@ -40,7 +40,7 @@ const MOST: usize = 100;
 const ENOUGH: Duration = Duration::from_secs(2);
 
 const BRDF: Brdf = Brdf {
-    model: SpecularModel::Microfacet,
+    model: SpecularModel::Beckmann,
     sigma: 0.08,
 };
 
@@ -167,7 +167,6 @@ fn equations() -> NormalEquations {
         near: None,
         seen: SeenCells::default(),
         diffuse_known: false,
-        long_tails: false,
         shortcuts: &SHORTCUTS,
         workspace: &WORKSPACE,
         stop: &NEVER,
@@ -178,7 +177,7 @@ fn equations() -> NormalEquations {
 /// One row of the matrix: all coarsest cells at a point, in a view.
 fn lobes(bencher: &Bencher) {
     let geometry = DEMO.pyramid.geometry(&CELLS);
-    let lobes = CellLobes::new(&BRDF, &geometry, None, false, false);
+    let lobes = CellLobes::new(&BRDF, &geometry, None, false);
     let point = &OBSERVATIONS.points[0];
     let to_camera = OBSERVATIONS.rows[point.rows.start].to_camera;
     let terms = BRDF.view_terms(point.normal, to_camera);

@@ -1,11 +1,13 @@
-// The specular lobe and the diffuse transmittance: the twin of `estimate/model.rs`, equations 3 and 4.
+// The specular lobe and the diffuse transmittance: the twin of `crates/scene/src/reflectance.rs`, equations 3 and 4.
 //
 // A lobe here may stand for several nodes of light: `spread` is their angular variance about the mean direction, per
 // axis, radians². The half vector turns by half of the light's turn in the plane of incidence and by 1/(2 l·h) of it
 // across, so the Gaussian widens by a quarter of the spread in one direction and by spread/(2 l·h)² in the other.
 
 const PAPER: u32 = 0u;
-const NO_LOBE: u32 = 2u;
+const BECKMANN: u32 = 1u;
+const GGX: u32 = 2u;
+const NO_LOBE: u32 = 3u;
 const MIN_COS_VIEW: f32 = 1e-3;
 const REFRACTIVE_INDEX: f32 = 1.5;
 const NORMAL_FRESNEL: f32 = 0.04;
@@ -13,7 +15,7 @@ const NORMAL_FRESNEL: f32 = 0.04;
 const CUT_EXPONENT: f32 = 11.5;
 
 struct Brdf {
-    /// 0: the paper's lobe, 1: microfacet, 2: no specular part.
+    /// PAPER, BECKMANN, GGX or NO_LOBE.
     model: u32,
     sigma: f32,
 }
@@ -35,9 +37,13 @@ fn fresnel(c: f32) -> f32 {
     return 0.5 * a * a * (1.0 + b * b);
 }
 
-/// Smith's masking for Beckmann slopes of width √2 σ.
-fn masking(c: f32, sigma: f32) -> f32 {
+/// Smith's masking for slopes of width √2 σ.
+fn masking(brdf: Brdf, c: f32) -> f32 {
+    let sigma = brdf.sigma;
     let tangent = sqrt(max(1.0 - c * c, 0.0)) / c;
+    if (brdf.model == GGX) {
+        return 2.0 / (1.0 + sqrt(1.0 + 2.0 * sigma * sigma * tangent * tangent));
+    }
     let a = 1.0 / max(1.414213562 * sigma * tangent, 1e-6);
     let value = a * (3.535 + 2.181 * a) / (1.0 + a * (2.276 + 2.577 * a));
     return select(1.0, value, a < 1.6);
@@ -56,19 +62,44 @@ fn squared_arccos(c: f32) -> f32 {
     return (1.0 - c) * p * p;
 }
 
-/// How much of diffusely reflected light passes the surface at a cosine, against normal incidence.
-fn diffuse_transmittance(brdf: Brdf, cosine: f32) -> f32 {
-    if (brdf.model != 1u) {
+fn smooth_transmittance(cosine: f32) -> f32 {
+    return (1.0 - fresnel(clamp(cosine, 1e-3, 1.0))) / (1.0 - NORMAL_FRESNEL);
+}
+
+/// Part of uniform light that a GGX lobe sends towards a viewer.
+fn ggx_reflectance(cosine: f32, sigma: f32) -> f32 {
+    let c = clamp(cosine, 1e-3, 1.0);
+    let alpha = 1.414213562 * sigma;
+    let tilt = 1.0 - c;
+    let steeper = min(c * c + 1.0738 * pow(alpha, 1.4252) * pow(tilt, 0.8577), 1.0);
+    let lost = 1.0 + alpha * alpha * (1.3559 - 2.7057 * pow(tilt, 2.5463));
+    return min(fresnel(sqrt(steeper)) / max(lost, 0.2), 0.99);
+}
+
+/// How much of the light for the diffuse part passes the surface at a cosine, against normal incidence.
+fn diffuse_entry(brdf: Brdf, cosine: f32) -> f32 {
+    if (brdf.model != BECKMANN) {
         return 1.0;
     }
-    return (1.0 - fresnel(clamp(cosine, 1e-3, 1.0))) / (1.0 - NORMAL_FRESNEL);
+    return smooth_transmittance(cosine);
+}
+
+/// How much of diffusely reflected light passes the surface towards a viewer, against normal exitance.
+fn diffuse_exit(brdf: Brdf, cosine: f32) -> f32 {
+    if (brdf.model == BECKMANN) {
+        return smooth_transmittance(cosine);
+    }
+    if (brdf.model == GGX) {
+        return (1.0 - ggx_reflectance(cosine, brdf.sigma)) / (1.0 - ggx_reflectance(1.0, brdf.sigma));
+    }
+    return 1.0;
 }
 
 fn view_terms(brdf: Brdf, normal: vec3f, view: vec3f) -> ViewTerms {
     let cos_view = max(dot(normal, view), MIN_COS_VIEW);
     var mask = 1.0;
-    if (brdf.model == 1u) {
-        mask = masking(cos_view, brdf.sigma);
+    if (brdf.model == BECKMANN || brdf.model == GGX) {
+        mask = masking(brdf, cos_view);
     }
     return ViewTerms(normal, view, cos_view, mask / cos_view);
 }
@@ -112,13 +143,19 @@ fn lobe(brdf: Brdf, terms: ViewTerms, light: vec3f, spread: f32) -> f32 {
         squared = (1.0 - cos_squared) / cos_squared;
     }
     let exponent = 0.5 * squared * (share / width_along + (1.0 - share) / width_across);
-    if (exponent > CUT_EXPONENT) {
-        return 0.0;
+    let strength = above * terms.scale * variance * inverseSqrt(width_along * width_across);
+    var density: f32;
+    if (brdf.model == GGX) {
+        density = 1.0 / ((1.0 + exponent) * (1.0 + exponent));
+    } else {
+        if (exponent > CUT_EXPONENT) {
+            return 0.0;
+        }
+        density = exp(-exponent);
     }
-    let gauss = above * terms.scale * exp(-exponent) * variance * inverseSqrt(width_along * width_across);
     if (brdf.model == PAPER) {
-        return gauss;
+        return strength * density;
     }
-    return gauss * fresnel(0.5 / inverse_length) / NORMAL_FRESNEL * masking(max(cos_light, 1e-4), brdf.sigma)
+    return strength * density * fresnel(0.5 / inverse_length) / NORMAL_FRESNEL * masking(brdf, max(cos_light, 1e-4))
         / (cos_squared * cos_squared);
 }

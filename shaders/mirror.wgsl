@@ -72,10 +72,11 @@ fn trace(origin: vec3f, direction: vec3f) -> Hit {
     return hit;
 }
 
-/// A half vector of the lobe about +Z: tan² of the tilt is exponential with the mean 2σ².
-fn lobe_half_vector(i: u32, sigma: f32) -> vec3f {
+/// A half vector of the lobe about +Z, by its place among all facets: for Beckmann, tan² of the tilt is exponential with the
+/// mean 2σ².
+fn lobe_half_vector(i: u32, brdf: Brdf) -> vec3f {
     let u = (f32(i) + 0.5) / f32(HALF_VECTORS);
-    let tangent = sigma * sqrt(-2.0 * log(1.0 - u));
+    let tangent = brdf.sigma * sqrt(2.0 * select(-log(1.0 - u), u / (1.0 - u), brdf.model == GGX));
     let angle = f32(i) * 2.3999632;
     return normalize(vec3f(tangent * cos(angle), tangent * sin(angle), 1.0));
 }
@@ -91,7 +92,7 @@ fn mirror_ray(brdf: Brdf, normal: vec3f, view: vec3f) -> MirrorRay {
     let cos_view = dot(normal, view);
     if (frame.half_vector >= HALF_VECTORS) {
         let light = normal * (2.0 * cos_view) - view;
-        return MirrorRay(light, fresnel(max(cos_view, 1e-3)) * masking(max(cos_view, 1e-4), brdf.sigma));
+        return MirrorRay(light, fresnel(max(cos_view, 1e-3)) * masking(brdf, max(cos_view, 1e-4)));
     }
     var tangent = view - normal * cos_view;
     if (dot(tangent, tangent) < 1e-12) {
@@ -101,11 +102,11 @@ fn mirror_ray(brdf: Brdf, normal: vec3f, view: vec3f) -> MirrorRay {
     let bitangent = cross(normal, tangent);
     var total = 0.0;
     for (var i = 0u; i < HALF_VECTORS; i++) {
-        let local = lobe_half_vector(i, brdf.sigma);
+        let local = lobe_half_vector(i, brdf);
         let between = dot(view, tangent) * local.x + dot(view, bitangent) * local.y + cos_view * local.z;
         total += max(between, 0.0) / local.z;
     }
-    let local = lobe_half_vector(frame.half_vector, brdf.sigma);
+    let local = lobe_half_vector(frame.half_vector, brdf);
     let half_vector = tangent * local.x + bitangent * local.y + normal * local.z;
     let between = dot(view, half_vector);
     let light = half_vector * (2.0 * between) - view;
@@ -113,6 +114,6 @@ fn mirror_ray(brdf: Brdf, normal: vec3f, view: vec3f) -> MirrorRay {
     if (between <= 0.0 || cos_light <= 0.0) {
         return MirrorRay(light, 0.0);
     }
-    let passes = fresnel(between) * masking(max(cos_light, 1e-4), brdf.sigma);
+    let passes = fresnel(between) * masking(brdf, max(cos_light, 1e-4));
     return MirrorRay(light, passes * between / local.z * f32(HALF_VECTORS) / max(total, 1e-6));
 }

@@ -204,7 +204,7 @@ fn add_lobes(surface: Surface, terms: ViewTerms, range: vec2u, weight: f32) -> S
         let arriving = light.flux * (falloff * weight * seen);
         sum.specular += arriving * value;
         if (live) {
-            sum.irradiance += arriving * (max(cos_light, 0.0) * diffuse_transmittance(brdf, cos_light) * frame.irradiance_scale);
+            sum.irradiance += arriving * (max(cos_light, 0.0) * diffuse_entry(brdf, cos_light) * frame.irradiance_scale);
         }
     }
     return sum;
@@ -257,7 +257,7 @@ fn mirrored(brdf: Brdf, triangle: Triangle, surface: Surface, view: vec3f) -> ve
         radiance = textureSampleLevel(albedo_texture, linear_sampler, there.uv, 0.0).rgb
             * (textureSampleLevel(irradiance_texture, linear_sampler, there.light_uv, 0.0).rgb + frame.ambient);
     }
-    return radiance * (ray.weight * diffuse_transmittance(brdf, cosine));
+    return radiance * (ray.weight * diffuse_exit(brdf, cosine));
 }
 
 /// What a lamp's shadow mode shows.
@@ -318,7 +318,7 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
     if (frame.mode != DIFFUSE) {
         sum.specular += mirrored(brdf, triangle, surface, view);
     }
-    let through = diffuse_transmittance(brdf, dot(surface.normal, view));
+    let through = diffuse_exit(brdf, dot(surface.normal, view));
     let diffuse = select(albedo * irradiance, stored.rgb, (frame.flags & STORED) != 0u) * through;
     var radiance = diffuse + sum.specular;
     if (frame.mode == DIFFUSE) {

@@ -462,18 +462,18 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
         let name = |model| match model {
             None => "Whichever fits",
             Some(SpecularModel::Paper) => "Paper's (eq. 4)",
-            Some(SpecularModel::Microfacet) => "Microfacet",
+            Some(model) => model.name(),
         };
         egui::ComboBox::from_id_salt("specular")
             .selected_text(name(settings.specular))
             .show_ui(ui, |ui| {
-                for model in [None, Some(SpecularModel::Paper), Some(SpecularModel::Microfacet)] {
+                for model in std::iter::once(None).chain(SpecularModel::ALL.map(Some)) {
                     ui.selectable_value(&mut settings.specular, model, name(model));
                 }
             })
             .response
             .labelled_by(label.id)
-            .on_hover_text("Form of the specular lobe: the paper's, a microfacet's with Fresnel and masking, or whichever leaves less unexplained");
+            .on_hover_text("Form of the specular lobe: the paper's, Beckmann's or GGX's microfacets with Fresnel factor and masking, or whichever leaves least unexplained");
         ui.end_row();
         let label = ui.label("Frequency");
         ui.add(egui::DragValue::new(&mut settings.frequency).range(8..=200))

@@ -158,7 +158,8 @@ fn profile_plot(ui: &mut egui::Ui, tried: &[Tried], marks: Marks, height: f32) {
             }
             for (model, name, colour) in [
                 (SpecularModel::Paper, "Paper's model", palette.curves[1]),
-                (SpecularModel::Microfacet, "Microfacet", palette.curves[2]),
+                (SpecularModel::Beckmann, "Beckmann", palette.curves[2]),
+                (SpecularModel::Ggx, "GGX", palette.curves[0]),
             ] {
                 let mut points: Vec<[f64; 2]> = tried
                     .iter()

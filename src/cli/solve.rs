@@ -39,7 +39,7 @@ pub(super) struct EstimationArgs {
     /// How roughness and lights are estimated
     #[arg(long, value_enum, default_value_t = MethodArg::Fast)]
     method: MethodArg,
-    /// Form of the specular lobe: the paper's, a microfacet's, or whichever fits
+    /// Form of the specular lobe: the paper's, microfacets with Beckmann's or GGX's slopes, or whichever fits
     #[arg(long, value_enum, default_value_t = SpecularArg::Auto)]
     specular: SpecularArg,
     /// Parts into which each edge of the lights' icosahedron is divided
@@ -121,9 +121,12 @@ impl MethodArg {
 enum SpecularArg {
     /// Fresnel factor and masking constant (eq. 4)
     Paper,
-    /// Torrance-Sparrow with dielectric Fresnel factor and masking
-    Microfacet,
-    /// Whichever leaves less unexplained
+    /// Microfacets with Beckmann's slopes, dielectric Fresnel factor and masking
+    #[value(alias = "microfacet")]
+    Beckmann,
+    /// The same with GGX's slopes, which fall off slowly, as the Principled surface of Blender and others
+    Ggx,
+    /// Whichever leaves least unexplained
     Auto,
 }
 
@@ -159,7 +162,8 @@ impl EstimationArgs {
                 method: self.method.method(),
                 specular: match self.specular {
                     SpecularArg::Paper => SpecularChoice::Model(SpecularModel::Paper),
-                    SpecularArg::Microfacet => SpecularChoice::Model(SpecularModel::Microfacet),
+                    SpecularArg::Beckmann => SpecularChoice::Model(SpecularModel::Beckmann),
+                    SpecularArg::Ggx => SpecularChoice::Model(SpecularModel::Ggx),
                     SpecularArg::Auto => SpecularChoice::Auto,
                 },
                 as_stated: self.as_stated,

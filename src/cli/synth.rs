@@ -14,6 +14,7 @@ use rekindle_lab::synth::{
     Encode, Files, GeometryErrors, Lamps, Light, Material, Mistake, Normals, Object, Places,
     Recipe, Sensor, SynthError, Views, check_destination, make,
 };
+use rekindle_scene::reflectance::SpecularModel;
 
 /// Arguments of `rekindle synth`.
 #[derive(clap::Args)]
@@ -62,7 +63,7 @@ struct SurfaceArgs {
     /// index 1.5 [default: 1.5]
     #[arg(long, value_parser = refractive_index)]
     ior: Option<f32>,
-    /// Let the surface light itself (microfacet model of index 1.5 only: the paper's has no absolute scale)
+    /// Let the surface light itself (microfacets of index 1.5 only: the paper's model has no absolute scale)
     #[arg(long)]
     interreflection: bool,
 }
@@ -212,8 +213,11 @@ enum ObjectArg {
 enum ModelArg {
     /// Fresnel factor and masking constant (eq. 4)
     Paper,
-    /// Torrance-Sparrow with dielectric Fresnel factor and masking
-    Microfacet,
+    /// Microfacets with Beckmann's slopes, dielectric Fresnel factor and masking
+    #[value(alias = "microfacet")]
+    Beckmann,
+    /// The same with GGX's slopes
+    Ggx,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -384,20 +388,21 @@ impl SurfaceArgs {
     fn material(&self) -> anyhow::Result<Material> {
         let paper = self.model == ModelArg::Paper;
         if paper && self.ior.is_some() {
-            bail!("--ior is for --model microfacet; the paper's lobe has a strength, --ks");
+            bail!("--ior is for --model beckmann or ggx; the paper's lobe has a strength, --ks");
         }
         if !paper && self.ks.is_some() {
             bail!("--ks is for --model paper; a microfacet lobe's strength follows from --ior");
         }
         if self.interreflection && (paper || self.ior.is_some_and(|ior| ior != 1.5)) {
             bail!(
-                "--interreflection needs --model microfacet and the index of refraction 1.5, for which it is modelled"
+                "--interreflection needs --model beckmann or ggx and the index of refraction 1.5, for which it is modelled"
             );
         }
-        Ok(if paper {
-            Material::paper(self.sigma, self.ks.unwrap_or(0.4))
-        } else {
-            Material::microfacet(self.sigma, self.ior.unwrap_or(1.5))
+        let dielectric = |model| Material::dielectric(model, self.sigma, self.ior.unwrap_or(1.5));
+        Ok(match self.model {
+            ModelArg::Paper => Material::paper(self.sigma, self.ks.unwrap_or(0.4)),
+            ModelArg::Beckmann => dielectric(SpecularModel::Beckmann),
+            ModelArg::Ggx => dielectric(SpecularModel::Ggx),
         })
     }
 }

@@ -250,9 +250,7 @@ impl Tracer<'_> {
                     let middle = &covered[covered.len() / 2];
                     let point = scene.mesh.point(middle.triangle, middle.barycentric);
                     let cos_view = point.normal.dot((eye - point.position).normalize_or_zero());
-                    let through = scene
-                        .brdf
-                        .map_or(1.0, |b| b.diffuse_transmittance(cos_view));
+                    let through = scene.brdf.map_or(1.0, |b| b.diffuse_exit(cos_view));
                     let whole = covered.len() == samples.full()
                         && photograph
                             .coverage

@@ -311,8 +311,8 @@ fn cast(
             triangle: hit.triangle,
             barycentric: hit.barycentric,
             weight: scale * PI / RAYS as f32
-                * brdf.diffuse_transmittance(height_of(ray))
-                * brdf.diffuse_transmittance(cos_there),
+                * brdf.diffuse_entry(height_of(ray))
+                * brdf.diffuse_exit(cos_there),
         }));
     });
     met
@@ -526,7 +526,7 @@ mod tests {
     use rekindle_scene::surface::fixtures::bumpy_sphere;
 
     const PLASTIC: Brdf = Brdf {
-        model: SpecularModel::Microfacet,
+        model: SpecularModel::Beckmann,
         sigma: 0.1,
     };
 
@@ -548,7 +548,7 @@ mod tests {
         let integral: f32 = (0..steps)
             .map(|i| {
                 let c = (i as f32 + 0.5) / steps as f32;
-                PLASTIC.diffuse_transmittance(c).powi(2) * c / steps as f32
+                PLASTIC.diffuse_exit(c).powi(2) * c / steps as f32
             })
             .sum();
         PLASTIC.specular_scale().unwrap() * TAU * integral

@@ -2,7 +2,7 @@
 //!
 //! Towards v a point sends R(cos θ_r) · B̄, with B̄ the mean over the lobe of the diffuse radiance that the mirrored
 //! directions meet (nothing where they leave the surface) and R the reflectance of the whole lobe. Half vectors are
-//! distributed as the facets that v sees (Heitz 2018): a fixed set is drawn from Beckmann's distribution and each
+//! distributed as the facets that v sees (Heitz 2018): a fixed set is drawn from the lobe's distribution and each
 //! weighted by (v·h)/(n·h), the weights normalised, so that nothing blows up at grazing views. What passes on is then
 //! F(v·h) G₁(l).
 
@@ -34,8 +34,7 @@ impl Lobe {
         let half_vectors = (0..RAYS)
             .map(|i| {
                 let u = (i as f32 + 0.5) / RAYS as f32;
-                // tan² of the tilt is exponential with the mean 2σ².
-                let tan = brdf.sigma * (-2.0 * (1.0 - u).ln()).sqrt();
+                let tan = brdf.facet_slope(u);
                 let (sin, cos) = (i as f32 * GOLDEN_ANGLE).sin_cos();
                 Vec3::new(tan * cos, tan * sin, 1.0).normalize_or(Vec3::Z)
             })
@@ -150,7 +149,7 @@ impl Surroundings<'_> {
             let Some(hit) = hit else { return };
             if let Some(cos) = exit_cosine(mesh, hit.triangle, hit.barycentric, light) {
                 sum += self.radiance(mesh, hit.triangle, hit.barycentric)
-                    * (weight * lobe.brdf.diffuse_transmittance(cos));
+                    * (weight * lobe.brdf.diffuse_exit(cos));
             }
         });
         if total > 0.0 { sum / total } else { Vec3::ZERO }
@@ -179,7 +178,7 @@ mod tests {
     #[test]
     fn a_smooth_lobe_reflects_as_fresnel_says() {
         let lobe = Lobe::new(Brdf {
-            model: SpecularModel::Microfacet,
+            model: SpecularModel::Beckmann,
             sigma: 0.005,
         });
         for cos in [1.0, 0.8, 0.5, 0.3, 0.15] {
@@ -197,7 +196,7 @@ mod tests {
     fn a_rough_lobe_never_reflects_more_than_it_gets() {
         for sigma in [0.02, 0.1, 0.3, 0.5] {
             let lobe = Lobe::new(Brdf {
-                model: SpecularModel::Microfacet,
+                model: SpecularModel::Beckmann,
                 sigma,
             });
             for i in 0..=100 {

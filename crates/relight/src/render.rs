@@ -491,10 +491,7 @@ impl Tile<'_> {
             }
         };
         let cos_view = piece.point.normal.dot(self.view(&piece.point));
-        let through = self
-            .scene
-            .brdf
-            .map_or(1.0, |b| b.diffuse_transmittance(cos_view));
+        let through = self.scene.brdf.map_or(1.0, |b| b.diffuse_exit(cos_view));
         let mut sum = Vec3::ZERO;
         for (i, sample) in samples.iter().enumerate() {
             if piece.members >> i & 1 == 1 {

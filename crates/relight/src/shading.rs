@@ -1,7 +1,7 @@
 //! How a surface point looks under a lighting: specular radiance (eq. 7) and irradiance (the sums of eq. 18–19).
 //!
 //! * specular = Σ M L ω a · lobe(n, l, v), the lobe of [`Brdf`] with its 1/cos θᵣ inside;
-//! * irradiance = Σ M L ω a · max(0, cos θᵢ) T(cos θᵢ), T the diffuse transmittance of [`Brdf`];
+//! * irradiance = Σ M L ω a · max(0, cos θᵢ) T(cos θᵢ), T what enters the surface, [`Brdf::diffuse_entry`];
 //!
 //! over the nodes of all lamps. a = (R/|p − x|)² is the fall-off of a node at the finite distance R (1 for distant
 //! light), M ∈ {0, 1} whether a ray from the surface reaches the node. Light from behind the shading normal or
@@ -672,7 +672,7 @@ impl<'a> Shader<'a> {
     /// Irradiance at a point, given its visibilities.
     pub fn irradiance(&self, point: &ShadingPoint, visibility: &[Visibility]) -> Vec3 {
         let mut irradiance = self.ambient;
-        let transmittance = |cos: f32| self.brdf.map_or(1.0, |b| b.diffuse_transmittance(cos));
+        let transmittance = |cos: f32| self.brdf.map_or(1.0, |b| b.diffuse_entry(cos));
         for (group, seen) in self.groups.iter().zip(visibility) {
             // Distant light that is wholly seen and above the horizon adds up beforehand, as long as the
             // transmittance is the same for all of it.
@@ -828,7 +828,7 @@ fn mean_transmittance(brdf: Brdf) -> f32 {
     /// Midpoint rule in cos²θ.
     const STEPS: usize = 64;
     (0..STEPS)
-        .map(|i| brdf.diffuse_transmittance(((i as f32 + 0.5) / STEPS as f32).sqrt()))
+        .map(|i| brdf.diffuse_entry(((i as f32 + 0.5) / STEPS as f32).sqrt()))
         .sum::<f32>()
         / STEPS as f32
 }

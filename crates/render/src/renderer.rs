@@ -594,8 +594,9 @@ impl Renderer {
             sigma: brdf.map_or(0.0, |b| b.sigma),
             model: match brdf.map(|b| b.model) {
                 Some(SpecularModel::Paper) => 0,
-                Some(SpecularModel::Microfacet) => 1,
-                None => 2,
+                Some(SpecularModel::Beckmann) => 1,
+                Some(SpecularModel::Ggx) => 2,
+                None => 3,
             },
             mode: request.mode.number(),
             flags: if light.stored { STORED } else { 0 },

@@ -23,8 +23,12 @@ const PAPER: Brdf = Brdf {
     model: SpecularModel::Paper,
     sigma: 0.12,
 };
+const GGX: Brdf = Brdf {
+    model: SpecularModel::Ggx,
+    sigma: 0.12,
+};
 const PLASTIC: Brdf = Brdf {
-    model: SpecularModel::Microfacet,
+    model: SpecularModel::Beckmann,
     sigma: 0.12,
 };
 
@@ -262,6 +266,7 @@ fn settled_pictures_are_the_reference_renderers() {
     for (brdf, radius) in [
         (Some(PAPER), None),
         (Some(PLASTIC), None),
+        (Some(GGX), None),
         (Some(PAPER), Some(3.0)),
         (None, None),
     ] {
@@ -287,11 +292,12 @@ fn settled_pictures_are_the_reference_renderers() {
                 request.mode = mode;
                 // What plastic mirrors of itself the reference traces for every fourth pixel only: without the diffuse
                 // part its interpolation shows.
-                let at_least = if mode == Mode::Specular && brdf == Some(PLASTIC) {
-                    38.0
-                } else {
-                    45.0
-                };
+                let at_least =
+                    if mode == Mode::Specular && [Some(PLASTIC), Some(GGX)].contains(&brdf) {
+                        38.0
+                    } else {
+                        45.0
+                    };
                 let picture = settled(&mut renderer, &request);
                 assert_close(&picture, &expected, at_least, &format!("{what}, {mode:?}"));
             }
@@ -302,7 +308,7 @@ fn settled_pictures_are_the_reference_renderers() {
 
 #[test]
 fn pictures_are_good_while_things_move() {
-    for brdf in [PAPER, PLASTIC] {
+    for brdf in [PAPER, PLASTIC, GGX] {
         let (mut renderer, surface) = renderer(solved(Some(brdf), None));
         let original = surface.solution().lighting();
         let mut request = request(view(224));

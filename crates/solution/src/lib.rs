@@ -784,7 +784,7 @@ mod tests {
             name: "example".to_owned(),
             method: Method::default(),
             brdf: Some(Brdf {
-                model: SpecularModel::Microfacet,
+                model: SpecularModel::Beckmann,
                 sigma: 0.075_123,
             }),
             chosen_because: "it was asked for".to_owned(),

@@ -243,12 +243,6 @@ fn a_mesh_with_holes_is_doubted() {
 }
 
 #[test]
-fn a_lobe_with_longer_tails_is_named() {
-    let wrong = changed("spot_ggx", |_| ());
-    assert_doubted(&wrong, "a GGX surface", &["GGX"]);
-}
-
-#[test]
 fn light_without_detail_gives_no_roughness() {
     let solution = changed("spot_uniform", |_| ());
     assert_doubted(&solution, "an even sky", &["no detail"]);

@@ -26,7 +26,7 @@ pub fn solution() -> Arc<Solution> {
     let occluder = Occluder::new(&mesh);
     let grid = HemisphereGrid::new(20, Vec3::Y, None, Vec3::ZERO);
     let brdf = Some(Brdf {
-        model: SpecularModel::Microfacet,
+        model: SpecularModel::Beckmann,
         sigma: 0.1,
     });
     let mut radiance = vec![[0.0; 3]; grid.directions.len()];

@@ -220,7 +220,7 @@ mod tests {
     fn a_highlight_is_asked_for_its_lamp() {
         let (mesh, occluder) = sphere();
         let brdf = Some(Brdf {
-            model: SpecularModel::Microfacet,
+            model: SpecularModel::Beckmann,
             sigma: 0.08,
         });
         let eye = Vec3::new(0.0, 0.0, 8.0);

@@ -151,7 +151,7 @@ pub fn solution() -> Solution {
         name: "seed".to_owned(),
         method: Method::default(),
         brdf: Some(Brdf {
-            model: SpecularModel::Microfacet,
+            model: SpecularModel::Beckmann,
             sigma: 0.1,
         }),
         chosen_because: String::new(),

@@ -124,7 +124,6 @@ pub fn solve(
         near: solver.near,
         seen: SeenCells::default(),
         diffuse_known: true,
-        long_tails: false,
         shortcuts: solver.shortcuts,
         workspace: solver.workspace,
         stop: solver.stop,

@@ -40,8 +40,6 @@ pub struct Design<'a> {
     pub near: Option<(Vec3, f32)>,
     /// Share of each cell that each point sees.
     pub seen: SeenCells,
-    /// Whether the microfacet lobe falls off as GGX's.
-    pub long_tails: bool,
     /// Whether the rows' diffuse part has been subtracted already, so that nothing is left to eliminate.
     pub diffuse_known: bool,
     /// What may be left out.
@@ -93,7 +91,7 @@ impl Design<'_> {
 
     fn lobes(&self, brdf: &Brdf) -> CellLobes<'_> {
         let whole = !self.shortcuts.takes(Shortcut::Lobes);
-        CellLobes::new(brdf, &self.geometry, self.near, whole, self.long_tails)
+        CellLobes::new(brdf, &self.geometry, self.near, whole)
     }
 
     /// The eliminated normal equations for weights per row.
@@ -216,7 +214,7 @@ impl Design<'_> {
             return rows.len();
         }
         let mut reflector: Vec<f32> = (rows.iter().zip(&scales))
-            .map(|(row, scale)| scale * brdf.diffuse_transmittance(row.cos_view))
+            .map(|(row, scale)| scale * brdf.diffuse_exit(row.cos_view))
             .collect();
         let length = reflector.iter().map(|a| a * a).sum::<f32>().sqrt();
         let Some(last) = reflector.last_mut().filter(|_| length > 0.0) else {

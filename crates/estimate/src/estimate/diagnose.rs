@@ -200,10 +200,6 @@ pub fn suspicion(suspicion: &Suspicion, stated: Option<f32>, views: &[View]) -> 
             ),
             "Check its camera, its focus, and whether the light was the same; or leave it out.".to_owned(),
         ),
-        Suspect::LongTails => (
-            "The highlights fall off more slowly than either specular model, as those of a GGX surface do".to_owned(),
-            "Dim lights beside bright ones are probably not there, and their flux belongs to these.".to_owned(),
-        ),
     };
     // What the other views leave is told apart by ranks; its sum says little.
     let by = match suspicion.suspect {

@@ -399,7 +399,6 @@ impl Solver<'_> {
             near: self.near,
             seen: SeenCells::default(),
             diffuse_known: false,
-            long_tails: false,
             shortcuts: self.shortcuts,
             workspace: self.workspace,
             stop: self.stop,

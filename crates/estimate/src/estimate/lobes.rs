@@ -31,8 +31,6 @@ pub struct CellLobes<'a> {
     height: Vec<f32>,
     /// Squared cosine between half vector and normal below which every lobe is taken as zero.
     least_cos_squared: f32,
-    /// Whether the microfacet lobe falls off as GGX's.
-    long_tails: bool,
 }
 
 /// Light of every cell at one surface point, one value per cell in each vector.
@@ -69,7 +67,6 @@ impl<'a> CellLobes<'a> {
         geometry: &'a CellGeometry,
         near: Option<(Vec3, f32)>,
         whole: bool,
-        long_tails: bool,
     ) -> Self {
         let variance = brdf.sigma * brdf.sigma;
         let padding = padded(geometry.spread.len()) - geometry.spread.len();
@@ -84,7 +81,7 @@ impl<'a> CellLobes<'a> {
             sigma: sigma.iter().fold(brdf.sigma, |m, &s| m.max(s)),
             ..*brdf
         };
-        let support = if whole || long_tails {
+        let support = if whole {
             std::f32::consts::FRAC_PI_2
         } else {
             widest.half_angle_support(CUTOFF)
@@ -97,7 +94,6 @@ impl<'a> CellLobes<'a> {
             sigma,
             height: inverse_variance.iter().map(|i| variance * i).collect(),
             inverse_variance,
-            long_tails,
         }
     }
 
@@ -150,12 +146,17 @@ impl<'a> CellLobes<'a> {
         }
         let arch = pulp::Arch::new();
         match self.brdf.model {
-            SpecularModel::Paper => arch.dispatch(LightKernel::<false> {
+            SpecularModel::Paper => arch.dispatch(LightKernel::<PAPER> {
                 lobes: self,
                 normal,
                 out,
             }),
-            SpecularModel::Microfacet => arch.dispatch(LightKernel::<true> {
+            SpecularModel::Beckmann => arch.dispatch(LightKernel::<BECKMANN> {
+                lobes: self,
+                normal,
+                out,
+            }),
+            SpecularModel::Ggx => arch.dispatch(LightKernel::<GGX> {
                 lobes: self,
                 normal,
                 out,
@@ -174,23 +175,21 @@ impl<'a> CellLobes<'a> {
     ) {
         let arch = pulp::Arch::new();
         match self.brdf.model {
-            SpecularModel::Paper => arch.dispatch(RowKernel::<false, false> {
+            SpecularModel::Paper => arch.dispatch(RowKernel::<PAPER> {
                 lobes: self,
                 terms,
                 light,
                 value,
                 by_sigma,
             }),
-            SpecularModel::Microfacet if self.long_tails => {
-                arch.dispatch(RowKernel::<true, true> {
-                    lobes: self,
-                    terms,
-                    light,
-                    value,
-                    by_sigma,
-                });
-            }
-            SpecularModel::Microfacet => arch.dispatch(RowKernel::<true, false> {
+            SpecularModel::Beckmann => arch.dispatch(RowKernel::<BECKMANN> {
+                lobes: self,
+                terms,
+                light,
+                value,
+                by_sigma,
+            }),
+            SpecularModel::Ggx => arch.dispatch(RowKernel::<GGX> {
                 lobes: self,
                 terms,
                 light,
@@ -203,21 +202,25 @@ impl<'a> CellLobes<'a> {
 
 /// The model is a constant of each kernel, so that its loops are free of branches and become vector code of the widest
 /// kind that the processor has.
-const fn model<const MICROFACET: bool>() -> SpecularModel {
-    if MICROFACET {
-        SpecularModel::Microfacet
-    } else {
-        SpecularModel::Paper
+const PAPER: u8 = 0;
+const BECKMANN: u8 = 1;
+const GGX: u8 = 2;
+
+const fn model<const MODEL: u8>() -> SpecularModel {
+    match MODEL {
+        PAPER => SpecularModel::Paper,
+        BECKMANN => SpecularModel::Beckmann,
+        _ => SpecularModel::Ggx,
     }
 }
 
-struct LightKernel<'a, const MICROFACET: bool> {
+struct LightKernel<'a, const MODEL: u8> {
     lobes: &'a CellLobes<'a>,
     normal: Vec3,
     out: &'a mut PointLobes,
 }
 
-impl<const MICROFACET: bool> pulp::WithSimd for LightKernel<'_, MICROFACET> {
+impl<const MODEL: u8> pulp::WithSimd for LightKernel<'_, MODEL> {
     type Output = ();
 
     #[inline(always)]
@@ -230,7 +233,7 @@ impl<const MICROFACET: bool> pulp::WithSimd for LightKernel<'_, MICROFACET> {
         let log_masking_by_sigma = &mut self.out.log_masking_by_sigma[..n];
         for c in 0..n {
             let cos = self.normal.dot(Vec3::new(x[c], y[c], z[c]));
-            let masking = model::<MICROFACET>().masking(cos, sigma[c]);
+            let masking = const { model::<MODEL>() }.masking(cos, sigma[c]);
             cos_light[c] = cos;
             let lit = strength[c] * height[c] * masking.value;
             strength[c] = if cos > 0.0 { lit } else { 0.0 };
@@ -239,7 +242,7 @@ impl<const MICROFACET: bool> pulp::WithSimd for LightKernel<'_, MICROFACET> {
     }
 }
 
-struct RowKernel<'a, const MICROFACET: bool, const LONG: bool> {
+struct RowKernel<'a, const MODEL: u8> {
     lobes: &'a CellLobes<'a>,
     terms: &'a ViewTerms,
     light: &'a PointLobes,
@@ -247,7 +250,7 @@ struct RowKernel<'a, const MICROFACET: bool, const LONG: bool> {
     by_sigma: Option<&'a mut [f32]>,
 }
 
-impl<const MICROFACET: bool, const LONG: bool> pulp::WithSimd for RowKernel<'_, MICROFACET, LONG> {
+impl<const MODEL: u8> pulp::WithSimd for RowKernel<'_, MODEL> {
     type Output = ();
 
     #[inline(always)]
@@ -264,12 +267,12 @@ impl<const MICROFACET: bool, const LONG: bool> pulp::WithSimd for RowKernel<'_, 
         let run = |first| Run::new(self.lobes, self.terms, self.light, first);
         for (k, value) in whole.iter_mut().enumerate() {
             let by_sigma = derivatives.as_deref_mut().map(|d| &mut d[k]);
-            run(k * RUN).write::<MICROFACET, LONG>(value, by_sigma);
+            run(k * RUN).write::<MODEL>(value, by_sigma);
         }
         if !rest.is_empty() {
             let (mut value, mut by_sigma) = ([0.0; RUN], [0.0; RUN]);
             let wanted = derivatives_rest.is_some().then_some(&mut by_sigma);
-            run(rest_at).write::<MICROFACET, LONG>(&mut value, wanted);
+            run(rest_at).write::<MODEL>(&mut value, wanted);
             rest.copy_from_slice(&value[..rest.len()]);
             if let Some(derivatives) = derivatives_rest {
                 derivatives.copy_from_slice(&by_sigma[..derivatives.len()]);
@@ -347,16 +350,12 @@ impl<'a> Run<'a> {
 
     /// Writes the values and, if they are wanted, their derivatives by σ.
     #[inline(always)]
-    fn write<const MICROFACET: bool, const LONG: bool>(
-        &self,
-        value: &mut [f32; RUN],
-        by_sigma: Option<&mut [f32; RUN]>,
-    ) {
+    fn write<const MODEL: u8>(&self, value: &mut [f32; RUN], by_sigma: Option<&mut [f32; RUN]>) {
         let is_in_lobe = self.is_in_lobe();
         match by_sigma {
-            None if is_in_lobe => *value = self.values::<MICROFACET, LONG>(),
+            None if is_in_lobe => *value = self.values::<MODEL>(),
             Some(by_sigma) if is_in_lobe => {
-                (*value, *by_sigma) = self.derivatives::<MICROFACET, LONG>();
+                (*value, *by_sigma) = self.derivatives::<MODEL>();
             }
             by_sigma => {
                 *value = [0.0; RUN];
@@ -368,23 +367,23 @@ impl<'a> Run<'a> {
     }
 
     #[inline(always)]
-    fn values<const MICROFACET: bool, const LONG: bool>(&self) -> [f32; RUN] {
-        let model = const { model::<MICROFACET>() };
+    fn values<const MODEL: u8>(&self) -> [f32; RUN] {
+        let model = const { model::<MODEL>() };
         let mut value = [0.0; RUN];
         for (c, value) in value.iter_mut().enumerate() {
             let facets = self
                 .terms
                 .facets(model, self.direction(c), self.cos_light[c]);
-            let density = facets.density_of::<LONG>(self.inverse_variance[c]);
-            *value = self.strength[c] * self.terms.scale() * density;
+            let density = facets.density(model, self.inverse_variance[c]);
+            *value = self.strength[c] * self.terms.scale() * density.value;
         }
         value
     }
 
     /// The values with their derivatives by σ.
     #[inline(always)]
-    fn derivatives<const MICROFACET: bool, const LONG: bool>(&self) -> ([f32; RUN], [f32; RUN]) {
-        let model = const { model::<MICROFACET>() };
+    fn derivatives<const MODEL: u8>(&self) -> ([f32; RUN], [f32; RUN]) {
+        let model = const { model::<MODEL>() };
         let log_masking_by_sigma = run(&self.light.log_masking_by_sigma, self.first);
         let height = run(&self.lobes.height, self.first);
         let sigma = self.lobes.brdf.sigma;
@@ -394,13 +393,13 @@ impl<'a> Run<'a> {
                 .terms
                 .facets(model, self.direction(c), self.cos_light[c]);
             let inverse = self.inverse_variance[c];
-            value[c] = self.strength[c] * self.terms.scale() * facets.density_of::<LONG>(inverse);
-            // dσ_blurred/dσ = σ/σ_blurred = √height; d ln(height)/dσ = 2 (1 − height)/σ.
-            let log_derivative =
-                sigma * facets.slope_squared * inverse * inverse * facets.fall::<LONG>(inverse)
-                    + height[c].sqrt() * log_masking_by_sigma[c]
-                    + self.terms.log_scale_by_sigma()
-                    + 2.0 / sigma * (1.0 - height[c]);
+            let density = facets.density(model, inverse);
+            value[c] = self.strength[c] * self.terms.scale() * density.value;
+            // d ln(1/σ_blurred²)/dσ = −2σ/σ_blurred²; dσ_blurred/dσ = σ/σ_blurred = √height; d ln(height)/dσ = 2 (1 − height)/σ.
+            let log_derivative = 2.0 * sigma * inverse * density.log_by_inverse_variance
+                + height[c].sqrt() * log_masking_by_sigma[c]
+                + self.terms.log_scale_by_sigma()
+                + 2.0 / sigma * (1.0 - height[c]);
             by_sigma[c] = value[c] * log_derivative;
         }
         (value, by_sigma)

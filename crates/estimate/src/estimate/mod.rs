@@ -188,7 +188,7 @@ pub fn estimate(
 /// 60, held it in 92.5, 97 and 98.5 % of 200 each with 0.3, 1 and 3 % of noise (`rekindle study --only coverage`).
 const HALF_INTERVAL: f32 = 5.5;
 
-/// A specular model that leaves so many times as much as the other at the best of a few roughnesses is not improved. In 67
+/// A specular model that leaves so many times as much as another at the best of a few roughnesses is not improved. In 67
 /// captures, rendered and made, the true model left less there every time; improving both turned that round once.
 const CLEARLY_LESS: f64 = 1.25;
 
@@ -430,35 +430,38 @@ fn choose<'s>(
         solver.improve_coarse(&mut fit, watch)?;
         return Ok((fit, "it was asked for".to_owned()));
     }
-    let mut better = solver.compare_sigmas(SpecularModel::Paper, None, watch)?;
+    let mut fits = vec![solver.compare_sigmas(SpecularModel::Paper, None, watch)?];
     if watch.observer.enough() {
         let because = "it was the only one tried before the end".to_owned();
-        return Ok((better, because));
+        return Ok((fits.remove(0), because));
     }
-    let near = Some(better.state.brdf.sigma);
-    let mut other = solver.compare_sigmas(SpecularModel::Microfacet, near, watch)?;
-    let ratio = better.unexplained / other.unexplained;
-    let clear = !(1.0 / CLEARLY_LESS..CLEARLY_LESS).contains(&ratio);
-    let both = !clear || !solver.shortcuts.takes(Shortcut::Roughnesses);
-    if both {
-        solver.improve_coarse(&mut better, watch)?;
-        solver.improve_coarse(&mut other, watch)?;
+    let near = Some(fits[0].state.brdf.sigma);
+    for model in [SpecularModel::Beckmann, SpecularModel::Ggx] {
+        fits.push(solver.compare_sigmas(model, near, watch)?);
     }
-    if other.unexplained < better.unexplained {
-        std::mem::swap(&mut better, &mut other);
+    sort_by_rest(&mut fits);
+    let most = CLEARLY_LESS * fits[0].unexplained;
+    let worth = fits.partition_point(|fit| fit.unexplained <= most);
+    let all = !solver.shortcuts.takes(Shortcut::Roughnesses);
+    let improved = if all { fits.len() } else { worth };
+    for fit in &mut fits[..improved] {
+        solver.improve_coarse(fit, watch)?;
     }
+    sort_by_rest(&mut fits[..improved]);
     let named = |fit: &CoarseFit<'_>| match fit.state.brdf.model {
         SpecularModel::Paper => "constant Fresnel and masking",
-        SpecularModel::Microfacet => "the microfacet model",
+        SpecularModel::Beckmann => "Beckmann's microfacets",
+        SpecularModel::Ggx => "GGX",
     };
     let because = format!(
         "{} leaves {:.0} % of the residual that {} leaves",
-        named(&better),
-        100.0 * better.unexplained / other.unexplained,
-        named(&other)
+        named(&fits[0]),
+        100.0 * fits[0].unexplained / fits[1].unexplained,
+        named(&fits[1])
     );
-    if !both {
-        solver.improve_coarse(&mut better, watch)?;
-    }
-    Ok((better, because))
+    Ok((fits.swap_remove(0), because))
+}
+
+fn sort_by_rest(fits: &mut [CoarseFit<'_>]) {
+    fits.sort_by(|a, b| a.unexplained.total_cmp(&b.unexplained));
 }

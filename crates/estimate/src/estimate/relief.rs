@@ -584,7 +584,6 @@ fn design<'o>(solver: &Solver<'o>, lamps: &Lamps, observations: &'o Observations
         near: solver.near,
         seen: SeenCells::default(),
         diffuse_known: false,
-        long_tails: false,
         shortcuts: solver.shortcuts,
         workspace: solver.workspace,
         stop: solver.stop,

@@ -1,7 +1,7 @@
 //! What, other than stated, would explain the photographs better?
 //!
 //! Where a fit leaves residuals that neighbouring points share, it is repeated on the coarsest cells with one assumption
-//! changed: where the lights are, what the pictures' numbers mean, how the lobe falls off. Each change is judged by whether it
+//! changed: where the lights are, what the pictures' numbers mean. Each change is judged by whether it
 //! wins in more parts of the surface than chance would have it: points are gathered in groups of like normals, and the groups'
 //! differences are ranked (Wilcoxon, "Individual comparisons by ranking methods", 1945). So no single highlight decides.
 
@@ -29,8 +29,6 @@ pub enum Suspect {
     Encoded,
     /// The pictures hold values that were decoded twice.
     Decoded,
-    /// The lobe falls off as slowly as GGX's.
-    LongTails,
     /// A view does not fit the others; its index.
     View(usize),
 }
@@ -70,7 +68,6 @@ struct Change<'a> {
     observations: &'a Observations,
     near: Option<(Vec3, f32)>,
     model: SpecularModel,
-    long_tails: bool,
 }
 
 /// A fit on the coarsest cells: what it leaves of the differences between views, one value a point, and its roughness.
@@ -147,7 +144,6 @@ impl Solver<'_> {
             observations: &self.coarse,
             near: self.near,
             model: fit.brdf.model,
-            long_tails: false,
         };
         let Some(own) = self.trial(&stated, fit.brdf.sigma, f64::INFINITY)? else {
             return Ok(None);
@@ -244,7 +240,6 @@ impl Solver<'_> {
             observations: &self.coarse,
             near: self.near,
             model,
-            long_tails: false,
         };
         let at = |centre, radius| Change {
             near: Some((centre, radius)),
@@ -262,21 +257,16 @@ impl Solver<'_> {
             let others = RADII.map(|factor| at(self.grid.centre, factor * reach));
             others.into_iter().collect()
         };
-        let models = [SpecularModel::Paper, SpecularModel::Microfacet];
+
         for (suspect, observations) in [Suspect::Encoded, Suspect::Decoded].into_iter().zip(powers)
         {
             // Which lobe fits depends on what the numbers mean.
-            changes.extend(models.map(|model| Change {
+            changes.extend(SpecularModel::ALL.map(|model| Change {
                 observations,
                 model,
                 ..stated(suspect)
             }));
         }
-        changes.push(Change {
-            model: SpecularModel::Microfacet,
-            long_tails: true,
-            ..stated(Suspect::LongTails)
-        });
         changes
     }
 
@@ -296,7 +286,6 @@ impl Solver<'_> {
         let roots = self.pyramid.roots();
         let mut design = self.design(change.observations, &roots);
         design.near = change.near;
-        design.long_tails = change.long_tails;
         let model = change.model;
         let dark = State::new(design, roots, Brdf { model, sigma });
         let states: Vec<State<'_>> = (STARTS.into_par_iter())

@@ -124,7 +124,7 @@ fn uniform_light_on_a_glossy_object_is_left_diffuse() {
     let occluder = Occluder::new(&capture.mesh);
     let sky = HemisphereGrid::new(12, Vec3::Y, None, Vec3::ZERO);
     let brdf = Brdf {
-        model: SpecularModel::Microfacet,
+        model: SpecularModel::Beckmann,
         sigma: 0.2,
     };
     for view in &mut capture.views {
@@ -142,7 +142,7 @@ fn uniform_light_on_a_glossy_object_is_left_diffuse() {
                 .iter()
                 .map(|&l| brdf.lobe(&terms, l) + brdf.lobe(&terms, -l))
                 .sum();
-            let diffuse = 0.4 * brdf.diffuse_transmittance(terms.cos_view());
+            let diffuse = 0.4 * brdf.diffuse_exit(terms.cos_view());
             let noise = 1.0 + 0.005 * Random(pixel as u64 * 0x9e37_79b9_7f4a_7c15).normal();
             [noise * (diffuse + 0.3 * sum * sky.solid_angle); 3]
         };
@@ -367,7 +367,6 @@ fn design<'a>(observations: &'a Observations, pyramid: &Pyramid, cells: &[Cell])
         near: None,
         seen: SeenCells::default(),
         diffuse_known: false,
-        long_tails: false,
         shortcuts: &SHORTCUTS,
         workspace: &WORKSPACE,
         stop: &NEVER,
@@ -464,7 +463,7 @@ fn rows_derivatives_by_sigma_agree_with_finite_differences() {
     let cells = pyramid.roots();
     let design = design(&observations, &pyramid, &cells);
     let radiance = vec![[1.0; 3]; cells.len()];
-    for model in [SpecularModel::Paper, SpecularModel::Microfacet] {
+    for model in SpecularModel::ALL {
         let at = |sigma: f32| design.predict(&Brdf { model, sigma }, &radiance);
         let (low, mid, high) = (at(0.118), at(0.12), at(0.122));
         for k in 0..observations.rows.len() {

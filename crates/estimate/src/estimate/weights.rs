@@ -78,7 +78,7 @@ pub fn transmitted_share(
     cosines: impl Iterator<Item = f32>,
     weights: &[f32],
 ) -> Vec<(f32, f32)> {
-    let transmittance: Vec<f32> = cosines.map(|c| brdf.diffuse_transmittance(c)).collect();
+    let transmittance: Vec<f32> = cosines.map(|c| brdf.diffuse_exit(c)).collect();
     let total: f32 = weights
         .iter()
         .zip(&transmittance)

@@ -3,6 +3,7 @@
 use super::case::{Case, Group};
 use super::stability;
 use crate::synth::{Material, Object, Recipe};
+use rekindle_scene::reflectance::SpecularModel;
 use rekindle_scene::shortcuts::Shortcut;
 
 /// Width and height of the photographs.
@@ -15,7 +16,7 @@ pub(super) fn groups() -> Vec<Group> {
     let paper = stability::base(SIZE);
     let mut plastic = paper.clone();
     plastic.object = Object::Bowl;
-    plastic.material = Material::microfacet(0.1, 1.5);
+    plastic.material = Material::dielectric(SpecularModel::Beckmann, 0.1, 1.5);
     plastic.interreflection = true;
     let mut small = paper.clone();
     small.views.size = [320, 240];

@@ -7,6 +7,7 @@ use glam::Vec3;
 use super::case::Group;
 use crate::synth::{Files, Lamps, Light, Material, Mistake, Normals, Object, Places, Recipe};
 use rekindle_scene::hemisphere::HemisphereGrid;
+use rekindle_scene::reflectance::SpecularModel;
 
 /// Frequency of the grid among whose nodes lamps are placed: the default of `rekindle solve`.
 const FREQUENCY: u32 = 70;
@@ -70,7 +71,7 @@ fn surface(base: &Recipe) -> Vec<Group> {
             base,
             &[0.05, 0.1, 0.2, 0.35],
             |recipe, sigma| {
-                recipe.material = Material::microfacet(sigma as f32, 1.5);
+                recipe.material = Material::dielectric(SpecularModel::Beckmann, sigma as f32, 1.5);
             },
         ),
         Group::sweep(

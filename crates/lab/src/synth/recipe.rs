@@ -62,10 +62,10 @@ impl Material {
     }
 
     /// A dielectric's lobe, whose strength F(normal incidence)/(8πσ²) follows from the index of refraction.
-    pub fn microfacet(sigma: f32, refractive_index: f32) -> Self {
+    pub fn dielectric(model: SpecularModel, sigma: f32, refractive_index: f32) -> Self {
         let amplitude = (refractive_index - 1.0) / (refractive_index + 1.0);
         Self {
-            model: SpecularModel::Microfacet,
+            model,
             sigma,
             strength: amplitude * amplitude / (8.0 * std::f32::consts::PI * sigma * sigma),
             refractive_index: Some(refractive_index),

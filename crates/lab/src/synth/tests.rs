@@ -293,7 +293,7 @@ fn a_bowl_that_lights_itself_is_brighter() {
     let bowl = |interreflection: bool| {
         mean(&load(&made(|recipe| {
             recipe.object = Object::Bowl;
-            recipe.material = Material::microfacet(0.1, 1.5);
+            recipe.material = Material::dielectric(SpecularModel::Beckmann, 0.1, 1.5);
             recipe.interreflection = interreflection;
         })))
     };
@@ -426,7 +426,7 @@ fn an_estimate_finds_what_was_put_in() {
     let folder = made(|recipe| {
         recipe.object = Object::Torus;
         recipe.triangles = 20_000;
-        recipe.material = Material::microfacet(0.1, 1.5);
+        recipe.material = Material::dielectric(SpecularModel::Beckmann, 0.1, 1.5);
         recipe.sensor.noise = 0.005;
         recipe.views.count = 6;
         recipe.views.size = [160, 120];

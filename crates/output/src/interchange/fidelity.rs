@@ -179,15 +179,17 @@ fn own_radiance(asset: &Asset, brdf: Brdf, lamps: &[LampNodes], place: &Place) -
     let terms = brdf.view_terms(place.normal, place.view);
     let mean = match brdf.model {
         SpecularModel::Paper => 1.0,
-        SpecularModel::Microfacet => (1.0 - material.mean_reflectance()) / (1.0 - material.f0),
+        SpecularModel::Beckmann | SpecularModel::Ggx => {
+            (1.0 - material.mean_reflectance()) / (1.0 - material.f0)
+        }
     };
     let mut irradiance = asset.lighting.ambient * PI * mean;
     let mut specular = Vec3::ZERO;
     each_node(asset, lamps, place, |l, cos, flux| {
-        irradiance += flux * cos * brdf.diffuse_transmittance(cos);
+        irradiance += flux * cos * brdf.diffuse_entry(cos);
         specular += flux * brdf.lobe(&terms, l);
     });
-    let through = brdf.diffuse_transmittance(terms.cos_view()) * (1.0 - material.f0);
+    let through = brdf.diffuse_exit(terms.cos_view()) * (1.0 - material.f0);
     place.base_colour / PI * irradiance * through + specular * material.specular_scale
 }
 

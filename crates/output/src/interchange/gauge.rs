@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn the_gauge_of_the_microfacet_model_is_the_estimates_own() {
-        let model = SpecularModel::Microfacet;
+        let model = SpecularModel::Beckmann;
         let brdf = Brdf { model, sigma: 0.1 };
         let own = brdf.specular_scale().unwrap();
         let m = Material::new(Some(brdf), USUAL_F0);

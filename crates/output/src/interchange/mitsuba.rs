@@ -1,8 +1,8 @@
 //! A Mitsuba 3 scene: the object, its material, the light as it is and a sensor for every camera.
 //!
-//! Mitsuba has the Beckmann lobe itself, so nothing is fitted. The paper's model, with constant Fresnel factor and masking,
+//! Mitsuba has the Beckmann and the GGX lobe itself, so nothing is fitted. The paper's model, with constant Fresnel factor and masking,
 //! is a mixture by F₀ of a diffuse surface and a perfect mirror of that roughness; the microfacet model is Mitsuba's rough
-//! plastic.
+//! plastic. That lets light through the surface twice, which a GGX surface here does once: on the way out.
 
 use std::fmt::Write as _;
 
@@ -26,7 +26,11 @@ pub struct Files<'a> {
 /// The scene as XML. A path of one bounce shows what the paper's model is, further ones the surface's own reflections.
 pub fn scene(asset: &Asset, files: &Files) -> String {
     let mut text = String::from("<scene version=\"3.0.0\">\n");
-    let bounces = if asset.material.model == Some(SpecularModel::Microfacet) {
+    let bounces = if asset
+        .material
+        .model
+        .is_some_and(SpecularModel::is_microfacet)
+    {
         8
     } else {
         2
@@ -67,8 +71,12 @@ fn material(text: &mut String, asset: &Asset, base_colour: &str) {
             xml_attribute(base_colour)
         )
     };
+    let distribution = match material.model {
+        Some(SpecularModel::Ggx) => "ggx",
+        _ => "beckmann",
+    };
     let lobe = format!(
-        "<string name=\"distribution\" value=\"beckmann\"/><float name=\"alpha\" value=\"{}\"/>",
+        "<string name=\"distribution\" value=\"{distribution}\"/><float name=\"alpha\" value=\"{}\"/>",
         material.alpha()
     );
     let _ = match material.model {
@@ -86,7 +94,7 @@ fn material(text: &mut String, asset: &Asset, base_colour: &str) {
             material.f0,
             texture("reflectance")
         ),
-        Some(SpecularModel::Microfacet) => writeln!(
+        Some(SpecularModel::Beckmann | SpecularModel::Ggx) => writeln!(
             text,
             "        <bsdf type=\"roughplastic\"><float name=\"int_ior\" value=\"{}\"/><float name=\"ext_ior\" value=\"1\"/>{lobe}{}</bsdf>",
             material.refractive_index(),
@@ -100,7 +108,7 @@ fn material(text: &mut String, asset: &Asset, base_colour: &str) {
 pub fn diffuse_factor(asset: &Asset) -> f32 {
     match asset.material.model {
         // Ours is 1 for normal incidence and exitance, and the base colour is raised for one passage.
-        Some(SpecularModel::Microfacet) => {
+        Some(SpecularModel::Beckmann) => {
             (1.0 - asset.material.mean_reflectance()) * asset.material.behind_surface()
         }
         _ => 1.0,

@@ -30,9 +30,13 @@ pub fn notes(asset: &Asset, fidelity: Option<Fidelity>) -> Vec<String> {
         ggx_db,
     }) = fidelity
     {
+        let own = match material.model {
+            Some(SpecularModel::Ggx) => "whose lobe it is",
+            _ => "whose highlights have longer tails",
+        };
         notes.push(format!(
             "By the material alone, programs with a Beckmann lobe (Mitsuba, Blender's Glossy BSDF) come to {beckmann_db:.1} dB \
-             of rekindle's picture, those with GGX (glTF, USD, Blender's Principled BSDF), whose highlights have longer tails, \
+             of rekindle's picture, those with GGX (glTF, USD, Blender's Principled BSDF), {own}, \
              to {ggx_db:.1} dB, in the worst view."
         ));
     }
