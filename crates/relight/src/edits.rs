@@ -13,7 +13,7 @@ use serde_json::Value;
 use thiserror::Error;
 
 use super::environment::LatLong;
-use super::lighting::{LampNodes, Lighting};
+use super::lighting::{LampNodes, Lighting, ProbeUnits};
 use rekindle_base::files;
 
 /// The operations there are, as the messages list them.
@@ -66,6 +66,8 @@ pub enum Edit {
         picture: Arc<LatLong>,
         /// Turn about the hemisphere's pole, radians, counter-clockwise seen from the pole.
         rotation: f32,
+        /// How bright it is taken to be.
+        units: ProbeUnits,
         /// Factor of its radiance.
         gain: f32,
     },
@@ -176,6 +178,8 @@ struct EnvironmentFields {
     file: PathBuf,
     #[serde(default)]
     rotation_deg: f32,
+    #[serde(default)]
+    units: ProbeUnits,
     #[serde(default = "one")]
     gain: f32,
 }
@@ -299,6 +303,7 @@ fn parse(name: &str, fields: Value, folder: &Path) -> Result<Edit, Problem> {
             Edit::Environment {
                 picture: Arc::new(picture),
                 rotation: f.rotation_deg.to_radians(),
+                units: f.units,
                 gain: not_negative("gain", [f.gain; 3])?.x,
             }
         }
@@ -380,10 +385,12 @@ pub fn apply(edits: &[Edit], lighting: &Lighting) -> Result<Lighting, EditError>
             Edit::Environment {
                 picture,
                 rotation,
+                units,
                 gain,
             } => {
                 let turn = Quat::from_axis_angle(lighting.up, *rotation);
-                edited.environment = picture.patches(turn, *gain);
+                let bright = lighting.probe_gain(*units, picture.flux());
+                edited.environment = picture.patches(turn, *gain * bright);
             }
             Edit::Ambient { gain } => edited.ambient *= *gain,
             Edit::Remainder { gain } if *gain == 0.0 => edited.remainder.clear(),
@@ -421,6 +428,7 @@ mod tests {
             centre: Vec3::ZERO,
             radius: None,
             up: Vec3::Y,
+            specular_scale: 0.2,
         }
     }
 
@@ -502,6 +510,37 @@ mod tests {
         );
         assert_eq!(lighting.lamps[1].flux(), Vec3::ZERO);
         assert!(lighting.lamps[0].flux().x > 0.0);
+    }
+
+    #[test]
+    fn a_probe_is_as_bright_as_is_asked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        // 16 by 8 pixels of radiance 2, 1 and 1/2, with a common exponent.
+        let mut picture = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8 +X 16\n".to_vec();
+        picture.extend([128, 64, 32, 130].repeat(16 * 8));
+        fs::write(folder.path().join("probe.hdr"), picture).unwrap();
+        let lighting = two_lamps();
+        let sphere = 4.0 * std::f32::consts::PI;
+        let stored = Vec3::new(2.0, 1.0, 0.5) * sphere;
+        // The lamps' 12, the stray node's and the ambient light's.
+        let captured = 12.0 + 0.03 + 0.3 * sphere;
+        for (units, expected) in [
+            ("", stored * (captured / (3.5 * sphere))),
+            (
+                r#", "units": "matched""#,
+                stored * (captured / (3.5 * sphere)),
+            ),
+            (r#", "units": "stored""#, stored * 0.2),
+            (r#", "units": "solution", "gain": 2"#, stored * 2.0),
+        ] {
+            let path = folder.path().join("edits.json");
+            let text = format!(r#"[{{"environment": {{"file": "probe.hdr"{units}}}}}]"#);
+            fs::write(&path, text).unwrap();
+            let edited = apply(&load(&path).unwrap(), &lighting).unwrap();
+            let found: Vec3 = edited.environment.iter().map(LampNodes::flux).sum();
+            let off = (found - expected).length() / expected.length();
+            assert!(off < 5e-3, "{units}: {found}, not {expected}");
+        }
     }
 
     #[test]

@@ -227,6 +227,15 @@ impl LatLong {
         })
     }
 
+    /// Radiance over all directions, RGB × steradians.
+    pub fn flux(&self) -> Vec3 {
+        let rows = self.radiance.chunks(self.width).enumerate();
+        let of_row = |(row, pixels): (usize, &[Vec3])| {
+            pixels.iter().map(|p| p.as_dvec3()).sum::<DVec3>() * self.solid_angle(row)
+        };
+        rows.map(of_row).sum::<DVec3>().as_vec3()
+    }
+
     /// The environment as patches of neighbouring nodes, turned by `turn`, its radiance times `gain`. Together they
     /// have the flux of the picture.
     pub fn patches(&self, turn: Quat, gain: f32) -> Vec<LampNodes> {

@@ -39,7 +39,7 @@ pub use edits::{Edit, EditError, apply, load};
 pub use environment::LatLong;
 pub use interreflection::{Field, Interreflection, Relit};
 pub use irradiance::texel_irradiance;
-pub use lighting::{LampNodes, LightNode, Lighting};
+pub use lighting::{LampNodes, LightNode, Lighting, ProbeUnits};
 pub use measure::psnr;
 pub use reflection::Surroundings;
 pub use render::{Band, Diffuse, Picture, Scene, Stop, render, render_bands};

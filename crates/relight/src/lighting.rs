@@ -8,6 +8,7 @@
 use std::f32::consts::TAU;
 
 use glam::{Quat, Vec3};
+use serde::{Deserialize, Serialize};
 
 use rekindle_base::math::GOLDEN_ANGLE;
 
@@ -59,6 +60,43 @@ pub struct Lighting {
     pub radius: Option<f32>,
     /// The hemisphere's pole, unit: environments are turned about it.
     pub up: Vec3,
+    /// How many times larger radiances here are than real ones, K_S of eq. 4; see
+    /// [`usual_specular_scale`](rekindle_scene::reflectance::Brdf::usual_specular_scale).
+    pub specular_scale: f32,
+}
+
+/// How bright a light probe's picture is taken to be.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ProbeUnits {
+    /// As bright as the captured lighting in sum.
+    #[default]
+    Matched,
+    /// As stored, in real units, as other programs and what is exported for them have it.
+    Stored,
+    /// As stored, in the lighting's own units, as a solution's `hemisphere.exr` has it.
+    Solution,
+}
+
+impl Lighting {
+    /// Radiance over all directions at the centre, RGB in the units of the lighting × steradians; muted lamps send none.
+    pub fn flux(&self) -> Vec3 {
+        let lamps = self.lamps.iter().chain(&self.environment);
+        let lamps: Vec3 = lamps.filter(|l| !l.muted).map(LampNodes::flux).sum();
+        let strays: Vec3 = self.remainder.iter().map(LightNode::flux).sum();
+        lamps + strays + self.ambient * (4.0 * std::f32::consts::PI)
+    }
+
+    /// By what to multiply a picture of the light, of this flux over all directions, for this lighting.
+    pub fn probe_gain(&self, units: ProbeUnits, flux: Vec3) -> f32 {
+        match units {
+            ProbeUnits::Matched if flux.element_sum() > 0.0 => {
+                self.flux().element_sum() / flux.element_sum()
+            }
+            ProbeUnits::Matched | ProbeUnits::Solution => 1.0,
+            ProbeUnits::Stored => self.specular_scale,
+        }
+    }
 }
 
 impl LampNodes {

@@ -139,10 +139,13 @@ impl Brdf {
     pub fn specular_scale(&self) -> Option<f32> {
         match self.model {
             SpecularModel::Paper => None,
-            SpecularModel::Beckmann | SpecularModel::Ggx => {
-                Some(NORMAL_FRESNEL / (8.0 * std::f32::consts::PI * self.sigma * self.sigma))
-            }
+            SpecularModel::Beckmann | SpecularModel::Ggx => Some(self.usual_specular_scale()),
         }
+    }
+
+    /// The same taken for any model: K_S of a surface that reflects as much at normal incidence as plastic and varnish do, 4 %.
+    pub fn usual_specular_scale(&self) -> f32 {
+        NORMAL_FRESNEL / (8.0 * std::f32::consts::PI * self.sigma * self.sigma)
     }
 
     /// Part of the light from a direction at the cosine `cos_light` that facets seen at the cosine `cos_between` (of

@@ -150,7 +150,13 @@ pub struct Solution {
 impl Solution {
     /// The captured lighting, ready to be edited.
     pub fn lighting(&self) -> Lighting {
-        lighting(&self.grid, &self.radiance, &self.lamps, self.ambient)
+        lighting(
+            &self.grid,
+            &self.radiance,
+            &self.lamps,
+            self.ambient,
+            self.brdf,
+        )
     }
 
     /// What `solution.json` says.
@@ -523,6 +529,7 @@ pub fn lighting(
     radiance: &[[f32; 3]],
     lamps: &[SolutionLamp],
     ambient: Vec3,
+    brdf: Option<Brdf>,
 ) -> Lighting {
     let node = |i: u32| LightNode {
         direction: grid.directions[i as usize],
@@ -552,6 +559,7 @@ pub fn lighting(
         centre: grid.centre,
         radius: grid.radius,
         up: grid.up,
+        specular_scale: brdf.map_or(1.0, |brdf| brdf.usual_specular_scale()),
     }
 }
 

@@ -153,7 +153,7 @@ pub fn solve(
     clock.lap("estimate");
 
     let lamps = name_lamps(&grid, &found);
-    let light = lighting(&grid, &found.radiance, &lamps, Vec3::ZERO);
+    let light = lighting(&grid, &found.radiance, &lamps, Vec3::ZERO, found.brdf);
     let shortcuts = Shortcuts::without(options.estimate.avoided);
     let sight = Sight {
         mesh,

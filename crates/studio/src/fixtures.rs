@@ -57,7 +57,7 @@ pub fn solution() -> Arc<Solution> {
     radiance[grid.nearest(Vec3::new(0.0, 0.6, -0.8)).unwrap_or(0)] = [9.0; 3];
     let ambient = Vec3::splat(0.4);
     let atlas = Atlas::new(&mesh, &vec![24.0; mesh.triangles.len()]);
-    let light = lighting(&grid, &radiance, &lamps, ambient);
+    let light = lighting(&grid, &radiance, &lamps, ambient, brdf);
     let shader = Shader::new(&occluder, brdf, &light);
     let scene = Scene {
         mesh: &mesh,

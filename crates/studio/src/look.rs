@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::lamp::{Baseline, Lamp, LampId, Origin};
-use rekindle_relight::{LampNodes, LatLong, Lighting};
+use rekindle_relight::{LampNodes, LatLong, Lighting, ProbeUnits};
 
 /// Lamps whose directions' cosine is above this can't be told apart by `near` in an edit.
 const SAME_PLACE: f32 = 1.0 - 1e-6;
@@ -20,8 +20,15 @@ pub struct Probe {
     pub file: PathBuf,
     /// Turn about the hemisphere's pole, radians, counter-clockwise seen from the pole.
     pub rotation: f32,
-    /// Brightness in stops.
+    /// How bright the picture is taken to be; older projects took all in the solution's units.
+    #[serde(default = "solution_units")]
+    pub units: ProbeUnits,
+    /// Brightness in stops beyond that.
     pub stops: f32,
+}
+
+fn solution_units() -> ProbeUnits {
+    ProbeUnits::Solution
 }
 
 /// A light probe's picture, ready to shine.
@@ -31,6 +38,8 @@ pub struct ProbeLight {
     picture: LatLong,
     /// Unturned, at the picture's own brightness.
     patches: Vec<LampNodes>,
+    /// Radiance over all directions.
+    flux: Vec3,
 }
 
 /// A lighting set-up.
@@ -66,6 +75,7 @@ impl ProbeLight {
         Ok(Arc::new(Self {
             file: file.to_owned(),
             patches: picture.patches(Quat::IDENTITY, 1.0),
+            flux: picture.flux(),
             picture,
         }))
     }
@@ -75,16 +85,22 @@ impl ProbeLight {
         &self.file
     }
 
-    /// Radiance from a unit direction, turned about `up` and dimmed.
-    pub fn radiance(&self, probe: &Probe, up: Vec3, direction: Vec3) -> Vec3 {
-        let back = Quat::from_axis_angle(up, -probe.rotation);
-        self.picture.radiance(back * direction) * probe.stops.exp2()
+    /// Radiance from a unit direction, turned about the pole of the captured lighting and dimmed.
+    pub fn radiance(&self, probe: &Probe, captured: &Lighting, direction: Vec3) -> Vec3 {
+        let back = Quat::from_axis_angle(captured.up, -probe.rotation);
+        self.picture.radiance(back * direction) * self.gain(probe, captured)
     }
 
-    /// Its light, turned about `up` and dimmed.
-    fn light(&self, probe: &Probe, up: Vec3) -> Vec<LampNodes> {
+    /// Factor of the picture's radiances.
+    fn gain(&self, probe: &Probe, captured: &Lighting) -> f32 {
+        probe.stops.exp2() * captured.probe_gain(probe.units, self.flux)
+    }
+
+    /// Its light, turned about the pole of the captured lighting and dimmed.
+    fn light(&self, probe: &Probe, captured: &Lighting) -> Vec<LampNodes> {
+        let up = captured.up;
         let turn = Quat::from_axis_angle(up, probe.rotation);
-        let gain = probe.stops.exp2();
+        let gain = self.gain(probe, captured);
         let mut patches = self.patches.clone();
         for patch in &mut patches {
             patch.direction = (turn * patch.direction).normalize_or(up);
@@ -147,6 +163,7 @@ impl Look {
         self.probe = Some(Probe {
             file,
             rotation: 0.0,
+            units: ProbeUnits::default(),
             stops: 0.0,
         });
     }
@@ -160,7 +177,7 @@ impl Look {
     pub fn light(&self, base: &Baseline, probe: Option<&ProbeLight>) -> LitLook {
         let lit = &base.lighting;
         let environment = match (&self.probe, probe) {
-            (Some(set), Some(light)) if self.solo.is_none() => light.light(set, lit.up),
+            (Some(set), Some(light)) if self.solo.is_none() => light.light(set, lit),
             _ => Vec::new(),
         };
         LitLook {
@@ -240,6 +257,7 @@ impl Look {
             edits.push(json!({ "environment": {
                 "file": probe.file,
                 "rotation_deg": probe.rotation.to_degrees(),
+                "units": probe.units,
                 "gain": probe.stops.exp2(),
             } }));
         }

@@ -6,7 +6,7 @@ use glam::{Quat, Vec3};
 
 use super::fixtures::solution;
 use super::*;
-use rekindle_relight::{self as relight, LampNodes, LightNode, Lighting};
+use rekindle_relight::{self as relight, LampNodes, LightNode, Lighting, ProbeUnits};
 
 fn document() -> Document {
     Document::new(solution(), Some("solution".into()))
@@ -117,6 +117,7 @@ fn a_look_and_its_edits_are_the_same_light() {
             "probe",
             Box::new(move |s, _| {
                 s.look_mut().probe = Some(Probe {
+                    units: ProbeUnits::Matched,
                     file: probe_file.clone(),
                     rotation: 1.0,
                     stops: -2.0,
@@ -285,6 +286,7 @@ fn edited(folder: &Path) -> Document {
         s.add_lamp(b, Vec3::X);
         s.duplicate_look(0);
         s.look_mut().probe = Some(Probe {
+            units: ProbeUnits::Matched,
             file: probe,
             rotation: 0.5,
             stops: 1.0,

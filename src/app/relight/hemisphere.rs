@@ -50,9 +50,9 @@ impl LitDisc {
         if let Some(from_above) = self.from_above.as_ref().filter(|_| old) {
             let mut nodes = on_grid(&solution.grid, &document.light().lighting);
             if let Some((probe, light)) = document.surroundings() {
-                let up = solution.grid.up;
+                let captured = &document.base().lighting;
                 for (node, direction) in nodes.iter_mut().zip(&solution.grid.directions) {
-                    let all = Vec3::from(*node) + light.radiance(probe, up, *direction);
+                    let all = Vec3::from(*node) + light.radiance(probe, captured, *direction);
                     *node = all.to_array();
                 }
             }

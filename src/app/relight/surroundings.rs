@@ -9,6 +9,7 @@ use super::editing::undoable;
 use super::lamps::{LABELS, fit_sliders};
 use crate::app::{Shared, theme};
 use crate::worker::{Latest, Purpose};
+use rekindle_relight::ProbeUnits;
 use rekindle_studio::{Document, Probe, ProbeLight};
 
 /// A light probe being read.
@@ -148,6 +149,7 @@ fn probe_settings(ui: &mut egui::Ui, document: &mut Document, probe: &Probe) {
         }
     });
     ui.end_row();
+    units_ui(ui, document, probe);
     ui.label("Brightness");
     let mut stops = probe.stops;
     let slider = egui::Slider::new(&mut stops, -8.0..=8.0)
@@ -168,5 +170,44 @@ fn probe_settings(ui: &mut egui::Ui, document: &mut Document, probe: &Probe) {
             }
         },
     );
+    ui.end_row();
+}
+
+/// How bright the light probe is taken to be.
+fn units_ui(ui: &mut egui::Ui, document: &mut Document, probe: &Probe) {
+    let label = ui.label("Scale");
+    let name = |units| match units {
+        ProbeUnits::Matched => "Matched",
+        ProbeUnits::Stored => "As stored",
+        ProbeUnits::Solution => "Solution's",
+    };
+    let tip = |units| match units {
+        ProbeUnits::Matched => "As bright as the captured lighting in sum",
+        ProbeUnits::Stored => "In real units, as pictures exported for other programs",
+        ProbeUnits::Solution => "In the solution's units, as its hemisphere.exr",
+    };
+    let mut units = probe.units;
+    egui::ComboBox::from_id_salt("probe units")
+        .selected_text(name(units))
+        .show_ui(ui, |ui| {
+            for choice in [
+                ProbeUnits::Matched,
+                ProbeUnits::Stored,
+                ProbeUnits::Solution,
+            ] {
+                ui.selectable_value(&mut units, choice, name(choice))
+                    .on_hover_text(tip(choice));
+            }
+        })
+        .response
+        .labelled_by(label.id)
+        .on_hover_text("What the picture's numbers are taken for: matched to the captured lighting, or as they are stored");
+    if units != probe.units {
+        document.edit("Scale of the light probe", |s, _| {
+            if let Some(probe) = &mut s.look_mut().probe {
+                probe.units = units;
+            }
+        });
+    }
     ui.end_row();
 }

@@ -82,6 +82,7 @@ impl TrueSurface {
             centre: self.mesh.centre(),
             radius: None,
             up: Vec3::Y,
+            specular_scale: self.strength,
         }
     }
 
