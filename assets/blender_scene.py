@@ -95,7 +95,7 @@ def material(scene, here):
         shader = diffuse
         if stated["specular"] is not None:
             glossy = nodes.new("ShaderNodeBsdfAnisotropic")
-            glossy.distribution = "BECKMANN"
+            glossy.distribution = "GGX" if stated["specular"] == "metal" else "BECKMANN"
             glossy.inputs["Color"].default_value = (1, 1, 1, 1)
             glossy.inputs["Roughness"].default_value = stated["roughness"]
             shader = nodes.new("ShaderNodeMixShader")

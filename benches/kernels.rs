@@ -264,7 +264,7 @@ fn textures(bencher: &Bencher) {
         centre: capture.mesh.centre(),
         radius: None,
         up: Vec3::Y,
-        specular_scale: 1.0,
+        specular_scale: Vec3::ONE,
     };
     let shader = Shader::new(&DEMO.occluder, Some(BRDF), &lighting);
     let scene = Scene {

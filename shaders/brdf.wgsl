@@ -7,7 +7,8 @@
 const PAPER: u32 = 0u;
 const BECKMANN: u32 = 1u;
 const GGX: u32 = 2u;
-const NO_LOBE: u32 = 3u;
+const METAL: u32 = 3u;
+const NO_LOBE: u32 = 4u;
 const MIN_COS_VIEW: f32 = 1e-3;
 const REFRACTIVE_INDEX: f32 = 1.5;
 const NORMAL_FRESNEL: f32 = 0.04;
@@ -15,7 +16,7 @@ const NORMAL_FRESNEL: f32 = 0.04;
 const CUT_EXPONENT: f32 = 11.5;
 
 struct Brdf {
-    /// PAPER, BECKMANN, GGX or NO_LOBE.
+    /// PAPER, BECKMANN, GGX, METAL or NO_LOBE.
     model: u32,
     sigma: f32,
 }
@@ -41,7 +42,7 @@ fn fresnel(c: f32) -> f32 {
 fn masking(brdf: Brdf, c: f32) -> f32 {
     let sigma = brdf.sigma;
     let tangent = sqrt(max(1.0 - c * c, 0.0)) / c;
-    if (brdf.model == GGX) {
+    if (brdf.model == GGX || brdf.model == METAL) {
         return 2.0 / (1.0 + sqrt(1.0 + 2.0 * sigma * sigma * tangent * tangent));
     }
     let a = 1.0 / max(1.414213562 * sigma * tangent, 1e-6);
@@ -98,7 +99,7 @@ fn diffuse_exit(brdf: Brdf, cosine: f32) -> f32 {
 fn view_terms(brdf: Brdf, normal: vec3f, view: vec3f) -> ViewTerms {
     let cos_view = max(dot(normal, view), MIN_COS_VIEW);
     var mask = 1.0;
-    if (brdf.model == BECKMANN || brdf.model == GGX) {
+    if (brdf.model == BECKMANN || brdf.model == GGX || brdf.model == METAL) {
         mask = masking(brdf, cos_view);
     }
     return ViewTerms(normal, view, cos_view, mask / cos_view);
@@ -145,7 +146,7 @@ fn lobe(brdf: Brdf, terms: ViewTerms, light: vec3f, spread: f32) -> f32 {
     let exponent = 0.5 * squared * (share / width_along + (1.0 - share) / width_across);
     let strength = above * terms.scale * variance * inverseSqrt(width_along * width_across);
     var density: f32;
-    if (brdf.model == GGX) {
+    if (brdf.model == GGX || brdf.model == METAL) {
         density = 1.0 / ((1.0 + exponent) * (1.0 + exponent));
     } else {
         if (exponent > CUT_EXPONENT) {
@@ -156,6 +157,7 @@ fn lobe(brdf: Brdf, terms: ViewTerms, light: vec3f, spread: f32) -> f32 {
     if (brdf.model == PAPER) {
         return strength * density;
     }
-    return strength * density * fresnel(0.5 / inverse_length) / NORMAL_FRESNEL * masking(brdf, max(cos_light, 1e-4))
+    let fresnel_factor = select(fresnel(0.5 / inverse_length) / NORMAL_FRESNEL, 1.0, brdf.model == METAL);
+    return strength * density * fresnel_factor * masking(brdf, max(cos_light, 1e-4))
         / (cos_squared * cos_squared);
 }

@@ -20,7 +20,7 @@ struct Frame {
     /// Picture size in pixels.
     size: vec2f,
     sigma: f32,
-    /// 0: the paper's lobe, 1: Beckmann's, 2: GGX's, 3: none.
+    /// 0: the paper's lobe, 1: Beckmann's, 2: GGX's, 3: a metal's, 4: none.
     model: u32,
     mode: u32,
     /// Bit 0: the diffuse part is the stored texture; 1: pixels are partly covered; 4–7: shadow maps in use.

@@ -473,7 +473,7 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
             })
             .response
             .labelled_by(label.id)
-            .on_hover_text("Form of the specular lobe: the paper's, Beckmann's or GGX's microfacets with Fresnel factor and masking, or whichever leaves least unexplained");
+            .on_hover_text("Form of the specular lobe: the paper's, Beckmann's or GGX's microfacets with Fresnel factor and masking, a metal's without Fresnel factor, or whichever leaves least unexplained");
         ui.end_row();
         let label = ui.label("Frequency");
         ui.add(egui::DragValue::new(&mut settings.frequency).range(8..=200))

@@ -648,7 +648,7 @@ fn quick_lighting(grid: &HemisphereGrid, step: &Step) -> Lighting {
         centre: grid.centre,
         radius: grid.radius,
         up: grid.up,
-        specular_scale: 1.0,
+        specular_scale: Vec3::ONE,
     }
 }
 

@@ -160,6 +160,11 @@ fn profile_plot(ui: &mut egui::Ui, tried: &[Tried], marks: Marks, height: f32) {
                 (SpecularModel::Paper, "Paper's model", palette.curves[1]),
                 (SpecularModel::Beckmann, "Beckmann", palette.curves[2]),
                 (SpecularModel::Ggx, "GGX", palette.curves[0]),
+                (
+                    SpecularModel::Metal,
+                    "Metal",
+                    palette.curves[1].gamma_multiply(0.5),
+                ),
             ] {
                 let mut points: Vec<[f64; 2]> = tried
                     .iter()

@@ -39,7 +39,7 @@ pub(super) struct EstimationArgs {
     /// How roughness and lights are estimated
     #[arg(long, value_enum, default_value_t = MethodArg::Fast)]
     method: MethodArg,
-    /// Form of the specular lobe: the paper's, microfacets with Beckmann's or GGX's slopes, or whichever fits
+    /// Form of the specular lobe: the paper's, microfacets with Beckmann's or GGX's slopes, a metal's, or whichever fits
     #[arg(long, value_enum, default_value_t = SpecularArg::Auto)]
     specular: SpecularArg,
     /// Parts into which each edge of the lights' icosahedron is divided
@@ -126,6 +126,8 @@ enum SpecularArg {
     Beckmann,
     /// The same with GGX's slopes, which fall off slowly, as the Principled surface of Blender and others
     Ggx,
+    /// GGX's slopes with a constant Fresnel factor
+    Metal,
     /// Whichever leaves least unexplained
     Auto,
 }
@@ -164,6 +166,7 @@ impl EstimationArgs {
                     SpecularArg::Paper => SpecularChoice::Model(SpecularModel::Paper),
                     SpecularArg::Beckmann => SpecularChoice::Model(SpecularModel::Beckmann),
                     SpecularArg::Ggx => SpecularChoice::Model(SpecularModel::Ggx),
+                    SpecularArg::Metal => SpecularChoice::Model(SpecularModel::Metal),
                     SpecularArg::Auto => SpecularChoice::Auto,
                 },
                 as_stated: self.as_stated,

@@ -218,6 +218,8 @@ enum ModelArg {
     Beckmann,
     /// The same with GGX's slopes
     Ggx,
+    /// GGX's slopes with a constant Fresnel factor
+    Metal,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -386,14 +388,18 @@ impl SynthArgs {
 
 impl SurfaceArgs {
     fn material(&self) -> anyhow::Result<Material> {
-        let paper = self.model == ModelArg::Paper;
-        if paper && self.ior.is_some() {
-            bail!("--ior is for --model beckmann or ggx; the paper's lobe has a strength, --ks");
+        let open = matches!(self.model, ModelArg::Paper | ModelArg::Metal);
+        if open && self.ior.is_some() {
+            bail!(
+                "--ior is for --model beckmann or ggx; the paper's lobe and metals have a strength, --ks"
+            );
         }
-        if !paper && self.ks.is_some() {
-            bail!("--ks is for --model paper; a microfacet lobe's strength follows from --ior");
+        if !open && self.ks.is_some() {
+            bail!(
+                "--ks is for --model paper or metal; a dielectric lobe's strength follows from --ior"
+            );
         }
-        if self.interreflection && (paper || self.ior.is_some_and(|ior| ior != 1.5)) {
+        if self.interreflection && (open || self.ior.is_some_and(|ior| ior != 1.5)) {
             bail!(
                 "--interreflection needs --model beckmann or ggx and the index of refraction 1.5, for which it is modelled"
             );
@@ -401,6 +407,7 @@ impl SurfaceArgs {
         let dielectric = |model| Material::dielectric(model, self.sigma, self.ior.unwrap_or(1.5));
         Ok(match self.model {
             ModelArg::Paper => Material::paper(self.sigma, self.ks.unwrap_or(0.4)),
+            ModelArg::Metal => Material::metal(self.sigma, self.ks.unwrap_or(0.4)),
             ModelArg::Beckmann => dielectric(SpecularModel::Beckmann),
             ModelArg::Ggx => dielectric(SpecularModel::Ggx),
         })

@@ -390,7 +390,7 @@ pub fn apply(edits: &[Edit], lighting: &Lighting) -> Result<Lighting, EditError>
             } => {
                 let turn = Quat::from_axis_angle(lighting.up, *rotation);
                 let bright = lighting.probe_gain(*units, picture.flux());
-                edited.environment = picture.patches(turn, *gain * bright);
+                edited.environment = picture.patches(turn, bright * *gain);
             }
             Edit::Ambient { gain } => edited.ambient *= *gain,
             Edit::Remainder { gain } if *gain == 0.0 => edited.remainder.clear(),
@@ -428,7 +428,7 @@ mod tests {
             centre: Vec3::ZERO,
             radius: None,
             up: Vec3::Y,
-            specular_scale: 0.2,
+            specular_scale: Vec3::splat(0.2),
         }
     }
 

@@ -208,7 +208,7 @@ impl LatLong {
         heap.into_sorted_vec()
     }
 
-    fn node(&self, region: &Region, turn: Quat, gain: f32) -> Option<LightNode> {
+    fn node(&self, region: &Region, turn: Quat, gain: Vec3) -> Option<LightNode> {
         let (mut flux, mut moment, mut solid_angle) = (DVec3::ZERO, DVec3::ZERO, 0.0);
         for row in region.rows[0]..region.rows[1] {
             let pixel_solid_angle = self.solid_angle(row);
@@ -238,8 +238,8 @@ impl LatLong {
 
     /// The environment as patches of neighbouring nodes, turned by `turn`, its radiance times `gain`. Together they
     /// have the flux of the picture.
-    pub fn patches(&self, turn: Quat, gain: f32) -> Vec<LampNodes> {
-        if gain == 0.0 {
+    pub fn patches(&self, turn: Quat, gain: Vec3) -> Vec<LampNodes> {
+        if gain == Vec3::ZERO {
             return Vec::new();
         }
         let whole = self.region([0, self.height], [0, self.width]);
@@ -278,7 +278,7 @@ mod tests {
     #[test]
     fn patches_hold_all_flux_on_the_whole_sphere() {
         let uniform = picture(|_| Vec3::new(1.0, 2.0, 3.0));
-        let patches = uniform.patches(Quat::IDENTITY, 0.5);
+        let patches = uniform.patches(Quat::IDENTITY, Vec3::splat(0.5));
         let flux: Vec3 = patches.iter().map(LampNodes::flux).sum();
         let sphere = 4.0 * std::f32::consts::PI;
         let expected = Vec3::new(0.5, 1.0, 1.5) * sphere;
@@ -303,7 +303,7 @@ mod tests {
         let sky = picture(|d| Vec3::splat(if d.dot(sun) > 0.995 { 1000.0 } else { 1.0 }));
         let turn = Quat::from_rotation_y(1.0);
         let brightest = sky
-            .patches(turn, 1.0)
+            .patches(turn, Vec3::ONE)
             .into_iter()
             .max_by(|a, b| a.flux().x.total_cmp(&b.flux().x))
             .unwrap();

@@ -60,9 +60,9 @@ pub struct Lighting {
     pub radius: Option<f32>,
     /// The hemisphere's pole, unit: environments are turned about it.
     pub up: Vec3,
-    /// How many times larger radiances here are than real ones, K_S of eq. 4; see
-    /// [`usual_specular_scale`](rekindle_scene::reflectance::Brdf::usual_specular_scale).
-    pub specular_scale: f32,
+    /// How many times larger radiances here are than real ones, K_S of eq. 4, RGB; see
+    /// [`usual_specular_scale`](rekindle_scene::reflectance::Brdf::usual_specular_scale). A metal's colour is in it.
+    pub specular_scale: Vec3,
 }
 
 /// How bright a light probe's picture is taken to be.
@@ -88,12 +88,13 @@ impl Lighting {
     }
 
     /// By what to multiply a picture of the light, of this flux over all directions, for this lighting.
-    pub fn probe_gain(&self, units: ProbeUnits, flux: Vec3) -> f32 {
+    pub fn probe_gain(&self, units: ProbeUnits, flux: Vec3) -> Vec3 {
+        let lit = (self.specular_scale * flux).element_sum();
         match units {
-            ProbeUnits::Matched if flux.element_sum() > 0.0 => {
-                self.flux().element_sum() / flux.element_sum()
+            ProbeUnits::Matched if lit > 0.0 => {
+                self.specular_scale * (self.flux().element_sum() / lit)
             }
-            ProbeUnits::Matched | ProbeUnits::Solution => 1.0,
+            ProbeUnits::Matched | ProbeUnits::Solution => Vec3::ONE,
             ProbeUnits::Stored => self.specular_scale,
         }
     }

@@ -218,7 +218,7 @@ mod tests {
             centre: Vec3::ZERO,
             radius: None,
             up: Vec3::Y,
-            specular_scale: 1.0,
+            specular_scale: Vec3::ONE,
         }
     }
 

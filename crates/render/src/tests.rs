@@ -27,6 +27,10 @@ const GGX: Brdf = Brdf {
     model: SpecularModel::Ggx,
     sigma: 0.12,
 };
+const METAL: Brdf = Brdf {
+    model: SpecularModel::Metal,
+    sigma: 0.12,
+};
 const PLASTIC: Brdf = Brdf {
     model: SpecularModel::Beckmann,
     sigma: 0.12,
@@ -267,6 +271,7 @@ fn settled_pictures_are_the_reference_renderers() {
         (Some(PAPER), None),
         (Some(PLASTIC), None),
         (Some(GGX), None),
+        (Some(METAL), None),
         (Some(PAPER), Some(3.0)),
         (None, None),
     ] {

@@ -8,7 +8,8 @@
 //!   `D = exp(−tan²α/2σ²)/cos⁴α`, as of Walter et al., "Microfacet Models for Refraction through Rough Surfaces"
 //!   (2007); a Beckmann slope width of √2 σ. The diffuse part loses what the surface reflects;
 //! * [`SpecularModel::Ggx`]: the same with `D = (1 + tan²α/2σ²)⁻²/cos⁴α` and its own masking (ibid.): GGX, or
-//!   Trowbridge-Reitz, of the width α = √2 σ, whose tails are long.
+//!   Trowbridge-Reitz, of the width α = √2 σ, whose tails are long;
+//! * [`SpecularModel::Metal`]: GGX with a constant Fresnel factor, as metals reflect much at all angles.
 //!
 //! α is the angle between the normal and the half vector, in radians. The cosine of the incident angle is inside
 //! the lobe (it has cancelled), the light's solid angle is not.
@@ -20,6 +21,9 @@ use rekindle_base::math::exp::exp_negative;
 
 /// Index of refraction taken for every dielectric. F(θ)/F(0) hardly depends on it between 1.4 and 1.6.
 const REFRACTIVE_INDEX: f32 = 1.5;
+
+/// Reflectance of metals at normal incidence, in the mean over channels: gold's is 0.5, iron's 0.55.
+const USUAL_METAL: f32 = 0.5;
 
 /// Below this cosine between normal and view the lobe's 1/cos θ_r is held constant: eq. 4 has a pole there.
 pub const MIN_COS_VIEW: f32 = 1e-3;
@@ -35,6 +39,8 @@ pub enum SpecularModel {
     Beckmann,
     /// Dielectric Fresnel factor, GGX's slopes and Smith masking.
     Ggx,
+    /// A metal: GGX's slopes and masking, Fresnel factor constant.
+    Metal,
 }
 
 /// A specular model with its roughness.
@@ -115,7 +121,7 @@ impl Brdf {
     #[inline(always)]
     pub fn diffuse_entry(&self, cos: f32) -> f32 {
         match self.model {
-            SpecularModel::Paper | SpecularModel::Ggx => 1.0,
+            SpecularModel::Paper | SpecularModel::Ggx | SpecularModel::Metal => 1.0,
             SpecularModel::Beckmann => smooth_transmittance(cos),
         }
     }
@@ -126,7 +132,7 @@ impl Brdf {
     #[inline(always)]
     pub fn diffuse_exit(&self, cos: f32) -> f32 {
         match self.model {
-            SpecularModel::Paper => 1.0,
+            SpecularModel::Paper | SpecularModel::Metal => 1.0,
             SpecularModel::Beckmann => smooth_transmittance(cos),
             SpecularModel::Ggx => {
                 (1.0 - ggx_reflectance(cos, self.sigma)) / (1.0 - ggx_reflectance(1.0, self.sigma))
@@ -135,17 +141,22 @@ impl Brdf {
     }
 
     /// `K_S` of eq. 4, by which estimated lights are larger than real ones: F(normal incidence)/(8πσ²) in the microfacet
-    /// models, whose lobes are normalised; the paper's model leaves it open.
+    /// models, whose lobes are normalised; the paper's model and metals leave it open.
     pub fn specular_scale(&self) -> Option<f32> {
         match self.model {
-            SpecularModel::Paper => None,
+            SpecularModel::Paper | SpecularModel::Metal => None,
             SpecularModel::Beckmann | SpecularModel::Ggx => Some(self.usual_specular_scale()),
         }
     }
 
-    /// The same taken for any model: K_S of a surface that reflects as much at normal incidence as plastic and varnish do, 4 %.
+    /// The same taken for any model: K_S of a surface that reflects as much at normal incidence as plastic and varnish do, 4 %,
+    /// or as metals do, one half.
     pub fn usual_specular_scale(&self) -> f32 {
-        NORMAL_FRESNEL / (8.0 * std::f32::consts::PI * self.sigma * self.sigma)
+        let reflectance = match self.model {
+            SpecularModel::Metal => USUAL_METAL,
+            _ => NORMAL_FRESNEL,
+        };
+        reflectance / (8.0 * std::f32::consts::PI * self.sigma * self.sigma)
     }
 
     /// Part of the light from a direction at the cosine `cos_light` that facets seen at the cosine `cos_between` (of
@@ -164,7 +175,7 @@ impl Brdf {
         let slope_squared = match self.model {
             // tan²α is exponential with the mean 2σ².
             SpecularModel::Paper | SpecularModel::Beckmann => -(1.0 - u).ln(),
-            SpecularModel::Ggx => u / (1.0 - u),
+            SpecularModel::Ggx | SpecularModel::Metal => u / (1.0 - u),
         };
         self.sigma * (2.0 * slope_squared).sqrt()
     }
@@ -184,7 +195,7 @@ impl Brdf {
                 tan.atan()
             }
             // (1 + t²)/(1 + t²/2σ²) is the root of the share.
-            SpecularModel::Ggx => {
+            SpecularModel::Ggx | SpecularModel::Metal => {
                 let root = cutoff.max(0.0).sqrt();
                 let fall = root / (2.0 * self.sigma * self.sigma) - 1.0;
                 if fall > 0.0 {
@@ -225,7 +236,7 @@ impl Facets {
                 value: self.factor * exp_negative(-exponent),
                 log_by_inverse_variance: exponent,
             },
-            SpecularModel::Ggx => {
+            SpecularModel::Ggx | SpecularModel::Metal => {
                 let inverse = 1.0 / (1.0 + exponent);
                 Density {
                     value: self.factor * inverse * inverse,
@@ -275,14 +286,15 @@ impl ViewTerms {
                 slope_squared: squared_arccos(cos_half),
                 factor: 1.0,
             },
-            SpecularModel::Beckmann | SpecularModel::Ggx => {
+            SpecularModel::Beckmann | SpecularModel::Ggx | SpecularModel::Metal => {
                 let inverse_cos_squared = 1.0 / (cos_half * cos_half);
+                let fresnel = match model {
+                    SpecularModel::Metal => 1.0,
+                    _ => fresnel(0.5 * length) * INVERSE_NORMAL_FRESNEL,
+                };
                 Facets {
                     slope_squared: (1.0 - cos_half * cos_half) * inverse_cos_squared,
-                    factor: fresnel(0.5 * length)
-                        * INVERSE_NORMAL_FRESNEL
-                        * inverse_cos_squared
-                        * inverse_cos_squared,
+                    factor: fresnel * inverse_cos_squared * inverse_cos_squared,
                 }
             }
         }
@@ -291,7 +303,7 @@ impl ViewTerms {
 
 impl SpecularModel {
     /// All of them, the simplest first.
-    pub const ALL: [Self; 3] = [Self::Paper, Self::Beckmann, Self::Ggx];
+    pub const ALL: [Self; 4] = [Self::Paper, Self::Beckmann, Self::Ggx, Self::Metal];
 
     /// Its name in the field.
     pub fn name(self) -> &'static str {
@@ -299,12 +311,13 @@ impl SpecularModel {
             Self::Paper => "Gaussian",
             Self::Beckmann => "Beckmann",
             Self::Ggx => "GGX",
+            Self::Metal => "Metal",
         }
     }
 
-    /// Whether it says how much is reflected in absolute terms, and what passes the surface.
-    pub fn is_microfacet(self) -> bool {
-        self != Self::Paper
+    /// Whether it is a dielectric's: says how much is reflected in absolute terms, and what passes the surface.
+    pub fn is_dielectric(self) -> bool {
+        matches!(self, Self::Beckmann | Self::Ggx)
     }
 
     /// Masking towards a direction at the cosine `cos`, with its derivative by σ.
@@ -316,7 +329,7 @@ impl SpecularModel {
                 by_sigma: 0.0,
             },
             Self::Beckmann => masking(cos.max(1e-4), sigma),
-            Self::Ggx => ggx_masking(cos.max(1e-4), sigma),
+            Self::Ggx | Self::Metal => ggx_masking(cos.max(1e-4), sigma),
         }
     }
 }

@@ -56,7 +56,7 @@ use rekindle_estimate::estimate::{Diagnostics, Iteration, Method};
 use rekindle_estimate::registration::Correction;
 use rekindle_relight::{LampNodes, LightNode, Lighting};
 use rekindle_scene::hemisphere::{HemisphereGrid, Picture, lat_long};
-use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::surface::Atlas;
 
 /// Rows of the lat-long picture: a node is some three pixels tall at frequency 70.
@@ -550,7 +550,13 @@ pub fn lighting(
         .filter(|&i| !claimed[i as usize] && radiance[i as usize] != [0.0; 3])
         .map(node)
         .collect();
-    let total: f32 = lamps.iter().map(|l| l.flux().element_sum()).sum();
+    let flux: Vec3 = lamps.iter().map(LampNodes::flux).sum();
+    let total = flux.element_sum();
+    // Of a metal and its light only the product is seen: the light is taken as white, so that new light is coloured.
+    let tint = match brdf {
+        Some(brdf) if brdf.model == SpecularModel::Metal && total > 0.0 => 3.0 * flux / total,
+        _ => Vec3::ONE,
+    };
     Lighting {
         lamps,
         remainder: strongest(strays, NEGLIGIBLE_SHARE * total),
@@ -559,7 +565,7 @@ pub fn lighting(
         centre: grid.centre,
         radius: grid.radius,
         up: grid.up,
-        specular_scale: brdf.map_or(1.0, |brdf| brdf.usual_specular_scale()),
+        specular_scale: tint * brdf.map_or(1.0, |brdf| brdf.usual_specular_scale()),
     }
 }
 

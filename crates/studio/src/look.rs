@@ -74,7 +74,7 @@ impl ProbeLight {
         let picture = LatLong::load(file)?;
         Ok(Arc::new(Self {
             file: file.to_owned(),
-            patches: picture.patches(Quat::IDENTITY, 1.0),
+            patches: picture.patches(Quat::IDENTITY, Vec3::ONE),
             flux: picture.flux(),
             picture,
         }))
@@ -92,8 +92,8 @@ impl ProbeLight {
     }
 
     /// Factor of the picture's radiances.
-    fn gain(&self, probe: &Probe, captured: &Lighting) -> f32 {
-        probe.stops.exp2() * captured.probe_gain(probe.units, self.flux)
+    fn gain(&self, probe: &Probe, captured: &Lighting) -> Vec3 {
+        captured.probe_gain(probe.units, self.flux) * probe.stops.exp2()
     }
 
     /// Its light, turned about the pole of the captured lighting and dimmed.

@@ -248,7 +248,7 @@ mod tests {
             centre: Vec3::ZERO,
             radius: None,
             up: Vec3::Y,
-            specular_scale: 1.0,
+            specular_scale: Vec3::ONE,
         };
         let ask = |lighting: &Lighting, n: Vec3| {
             let hit = occluder.hit(eye, (n - eye).normalize_or_zero()).unwrap();

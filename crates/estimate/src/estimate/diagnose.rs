@@ -91,6 +91,10 @@ pub fn no_specular(state: &State<'_>) -> Option<String> {
         .then(|| NO_SPECULAR.to_owned())
 }
 
+/// What is said of a metal.
+pub const METAL: &str = "The surface reflects as a metal does. Its colour can't be told from that of the light, which is taken as white: \
+    new light is coloured as the captured lighting is.";
+
 /// What is said where the user wanted the result before it had settled.
 pub const ENDED_EARLY: &str =
     "The estimation was ended before it had settled: roughness and lights are preliminary.";

@@ -161,6 +161,11 @@ impl<'a> CellLobes<'a> {
                 normal,
                 out,
             }),
+            SpecularModel::Metal => arch.dispatch(LightKernel::<METAL> {
+                lobes: self,
+                normal,
+                out,
+            }),
         }
     }
 
@@ -196,6 +201,13 @@ impl<'a> CellLobes<'a> {
                 value,
                 by_sigma,
             }),
+            SpecularModel::Metal => arch.dispatch(RowKernel::<METAL> {
+                lobes: self,
+                terms,
+                light,
+                value,
+                by_sigma,
+            }),
         }
     }
 }
@@ -205,12 +217,14 @@ impl<'a> CellLobes<'a> {
 const PAPER: u8 = 0;
 const BECKMANN: u8 = 1;
 const GGX: u8 = 2;
+const METAL: u8 = 3;
 
 const fn model<const MODEL: u8>() -> SpecularModel {
     match MODEL {
         PAPER => SpecularModel::Paper,
         BECKMANN => SpecularModel::Beckmann,
-        _ => SpecularModel::Ggx,
+        GGX => SpecularModel::Ggx,
+        _ => SpecularModel::Metal,
     }
 }
 

@@ -409,7 +409,9 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, fit: Fit, suspicion: Optio
     let doubts = [misfit, diagnose::unresolved(&solver.seen, &fit)];
     result.diagnostics.well_posed = doubts.iter().all(Option::is_none);
     let refined = result.refined.as_ref().map(diagnose::refined);
-    let warnings = refined.into_iter().chain(doubts.into_iter().flatten());
+    let metal = (fit.brdf.model == SpecularModel::Metal).then(|| diagnose::METAL.to_owned());
+    let warnings = refined.into_iter().chain(metal);
+    let warnings = warnings.chain(doubts.into_iter().flatten());
     result.diagnostics.warnings.extend(warnings);
     result.misfit = Some(fit.misfit.share);
     result.diagnostics.specular_found = true;
@@ -436,7 +438,11 @@ fn choose<'s>(
         return Ok((fits.remove(0), because));
     }
     let near = Some(fits[0].state.brdf.sigma);
-    for model in [SpecularModel::Beckmann, SpecularModel::Ggx] {
+    for model in [
+        SpecularModel::Beckmann,
+        SpecularModel::Ggx,
+        SpecularModel::Metal,
+    ] {
         fits.push(solver.compare_sigmas(model, near, watch)?);
     }
     sort_by_rest(&mut fits);
@@ -452,6 +458,7 @@ fn choose<'s>(
         SpecularModel::Paper => "constant Fresnel and masking",
         SpecularModel::Beckmann => "Beckmann's microfacets",
         SpecularModel::Ggx => "GGX",
+        SpecularModel::Metal => "a metal",
     };
     let because = format!(
         "{} leaves {:.0} % of the residual that {} leaves",

@@ -46,7 +46,7 @@ pub struct Material {
     pub sigma: f32,
     /// K_S of eq. 4.
     pub strength: f32,
-    /// Index of refraction that the strength is that of; `None` in the paper's model.
+    /// Index of refraction that the strength is that of; `None` in the paper's model and for metals.
     pub refractive_index: Option<f32>,
 }
 
@@ -58,6 +58,14 @@ impl Material {
             sigma,
             strength,
             refractive_index: None,
+        }
+    }
+
+    /// A metal's lobe of a strength K_S.
+    pub fn metal(sigma: f32, strength: f32) -> Self {
+        Self {
+            model: SpecularModel::Metal,
+            ..Self::paper(sigma, strength)
         }
     }
 

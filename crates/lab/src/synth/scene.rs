@@ -82,7 +82,7 @@ impl TrueSurface {
             centre: self.mesh.centre(),
             radius: None,
             up: Vec3::Y,
-            specular_scale: self.strength,
+            specular_scale: Vec3::splat(self.strength),
         }
     }
 
@@ -97,7 +97,7 @@ impl TrueSurface {
 
     /// The light of a probe, its radiance times `scale`.
     pub(super) fn probe(&self, probe: &LatLong, scale: f32) -> Lighting {
-        let patches = probe.patches(Quat::IDENTITY, scale * self.strength);
+        let patches = probe.patches(Quat::IDENTITY, Vec3::splat(scale * self.strength));
         self.lighting(Vec::new(), patches)
     }
 

@@ -61,6 +61,10 @@ fn material(material: &Material) -> Value {
             "model": "paperts",
             "equation": "L_o = K_D int L_i cos_i dw + K_S/cos_r int L_i exp(-alpha^2/(2 sigma^2)) dw over cos_i>0, unshadowed",
         }),
+        SpecularModel::Metal => json!({
+            "model": "microfacet: GGX, Smith masking, constant Fresnel factor",
+            "microfacet_alpha": material.sigma * std::f32::consts::SQRT_2,
+        }),
         SpecularModel::Beckmann | SpecularModel::Ggx => json!({
             "model": format!("microfacet: {}, Smith masking, dielectric Fresnel factor of index 1.5", material.model.name()),
             "microfacet_alpha": material.sigma * std::f32::consts::SQRT_2,

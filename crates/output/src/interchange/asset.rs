@@ -109,7 +109,7 @@ impl Asset {
                 centre: turn * lighting.centre,
                 radius: lighting.radius,
                 up: turn * lighting.up,
-                specular_scale: 1.0,
+                specular_scale: Vec3::ONE,
             },
             lamp_names: lamp_numbers.iter().map(name).collect(),
             lamp_numbers,

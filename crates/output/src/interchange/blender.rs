@@ -58,7 +58,7 @@ pub fn scene(asset: &Asset, files: &Files) -> Value {
             "roughness": material.roughness(),
             "ior": material.refractive_index(),
         },
-        "interreflections": material.model.is_some_and(SpecularModel::is_microfacet),
+        "interreflections": material.model.is_some_and(SpecularModel::is_dielectric),
         "lamps": lamps,
         "cameras": transforms(&asset.cameras, DVec3::ZERO)["frames"],
         "white": asset.white,

@@ -178,7 +178,7 @@ fn own_radiance(asset: &Asset, brdf: Brdf, lamps: &[LampNodes], place: &Place) -
     let material = &asset.material;
     let terms = brdf.view_terms(place.normal, place.view);
     let mean = match brdf.model {
-        SpecularModel::Paper => 1.0,
+        SpecularModel::Paper | SpecularModel::Metal => 1.0,
         SpecularModel::Beckmann | SpecularModel::Ggx => {
             (1.0 - material.mean_reflectance()) / (1.0 - material.f0)
         }
@@ -198,7 +198,10 @@ fn radiance(asset: &Asset, lobe: Lobe, lamps: &[LampNodes], place: &Place) -> Ve
     let material = &asset.material;
     let (alpha, index) = (material.alpha(), material.refractive_index());
     // The exact form of the paper's model is a mixture by F₀; what knows GGX only has a Fresnel factor.
-    let mixed = lobe == Lobe::Beckmann && material.model == Some(SpecularModel::Paper);
+    let mixed = matches!(
+        (lobe, material.model),
+        (Lobe::Beckmann, Some(SpecularModel::Paper)) | (Lobe::Ggx, Some(SpecularModel::Metal))
+    );
     let reflects = |cos: f32| {
         if mixed {
             material.f0

@@ -29,7 +29,7 @@ pub fn scene(asset: &Asset, files: &Files) -> String {
     let bounces = if asset
         .material
         .model
-        .is_some_and(SpecularModel::is_microfacet)
+        .is_some_and(SpecularModel::is_dielectric)
     {
         8
     } else {
@@ -72,7 +72,7 @@ fn material(text: &mut String, asset: &Asset, base_colour: &str) {
         )
     };
     let distribution = match material.model {
-        Some(SpecularModel::Ggx) => "ggx",
+        Some(SpecularModel::Ggx | SpecularModel::Metal) => "ggx",
         _ => "beckmann",
     };
     let lobe = format!(
@@ -85,7 +85,7 @@ fn material(text: &mut String, asset: &Asset, base_colour: &str) {
             "        <bsdf type=\"diffuse\">{}</bsdf>",
             texture("reflectance")
         ),
-        Some(SpecularModel::Paper) => write!(
+        Some(SpecularModel::Paper | SpecularModel::Metal) => write!(
             text,
             "        <bsdf type=\"blendbsdf\">\n            <float name=\"weight\" value=\"{}\"/>\n\
              \x20           <bsdf type=\"diffuse\">{}</bsdf>\n\

@@ -31,7 +31,7 @@ pub fn notes(asset: &Asset, fidelity: Option<Fidelity>) -> Vec<String> {
     }) = fidelity
     {
         let own = match material.model {
-            Some(SpecularModel::Ggx) => "whose lobe it is",
+            Some(SpecularModel::Ggx | SpecularModel::Metal) => "whose lobe it is",
             _ => "whose highlights have longer tails",
         };
         notes.push(format!(
@@ -54,7 +54,7 @@ pub fn notes(asset: &Asset, fidelity: Option<Fidelity>) -> Vec<String> {
             material.f0 / largest
         ));
     }
-    if material.model == Some(SpecularModel::Paper) {
+    if material.model.is_some_and(|model| !model.is_dielectric()) {
         notes.push(
             "The colours hold what the surface sends to itself: render without light bounces (the scripts do), or creases come \
              out too bright."
