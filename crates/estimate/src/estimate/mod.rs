@@ -267,7 +267,7 @@ fn run(
         iterations: &mut result.convergence,
         observer,
     };
-    let (coarse, mut because) = choose(&solver, params.specular, &mut watch)?;
+    let (coarse, mut because) = choose(&solver, params.specular, &SpecularModel::ALL, &mut watch)?;
     let refused = diagnose::no_specular(&coarse.state).or_else(|| diagnose::not_sharp(&coarse));
     if let Some(reason) = refused {
         result.diagnostics.warnings.push(reason);
@@ -333,7 +333,7 @@ fn fit_on(
 ) -> Result<Option<(Fit, String)>, Stopped> {
     let bench = Bench::new(&surface.mesh, solver.seen.views);
     let refined = bench.solver(solver, &surface.mesh);
-    let (again, because) = choose(&refined, choice, watch)?;
+    let (again, because) = choose(&refined, choice, &SpecularModel::ALL, watch)?;
     if !diagnose::is_better_surface(&coarse.state, &again.state) {
         return Ok(None);
     }
@@ -420,11 +420,12 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, fit: Fit, suspicion: Optio
     result.radiance = fit.nodes;
 }
 
-/// The coarse fit of the model asked for, or of the one that leaves less, with the reason in words. Where one leaves clearly
-/// less from the start, the other is not improved.
+/// The coarse fit of the model asked for, or of the one `among` others that leaves least, with the reason in words; the paper's
+/// is always tried. Those that leave clearly more from the start are not improved.
 fn choose<'s>(
     solver: &'s Solver<'_>,
     choice: SpecularChoice,
+    among: &[SpecularModel],
     watch: &mut Watch<'_>,
 ) -> Result<(CoarseFit<'s>, String), Stopped> {
     if let SpecularChoice::Model(model) = choice {
@@ -438,11 +439,7 @@ fn choose<'s>(
         return Ok((fits.remove(0), because));
     }
     let near = Some(fits[0].state.brdf.sigma);
-    for model in [
-        SpecularModel::Beckmann,
-        SpecularModel::Ggx,
-        SpecularModel::Metal,
-    ] {
+    for &model in among.iter().filter(|&&model| model != SpecularModel::Paper) {
         fits.push(solver.compare_sigmas(model, near, watch)?);
     }
     sort_by_rest(&mut fits);

@@ -33,7 +33,7 @@ use super::{SpecularChoice, choose};
 use rekindle_base::math::sparse::LowerEntries;
 use rekindle_capture::{Mesh, View};
 use rekindle_scene::hemisphere::{Lamp, find_lamps};
-use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::surface::{Fairing, NO_TRIANGLE, Occluder, ViewSurface, area_vectors};
 
 /// The lobe with which lamps are looked for over the one that fits best on unrefined normals.
@@ -187,13 +187,16 @@ fn pixels_per_triangle(seen: &Seen<'_>) -> f64 {
     pixels as f64 / shown.max(1) as f64
 }
 
+/// Long tails would explain normals that are off.
+const SHORT_TAILED: [SpecularModel; 2] = [SpecularModel::Paper, SpecularModel::Beckmann];
+
 /// Lamps in a lobe that is too wide: few, and where the highlights are in the mean over the surface.
 fn wide_lamps(
     solver: &Solver<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Lamps, Stopped> {
-    let (coarse, _) = choose(solver, choice, watch)?;
+    let (coarse, _) = choose(solver, choice, &SHORT_TAILED, watch)?;
     let points = solver.middle_observations(&coarse.state);
     let mut state = solver.refine(&coarse.state, &points);
     state.brdf.sigma *= WIDER;
