@@ -57,6 +57,8 @@ struct TruthFile {
 struct MaterialFile {
     sigma: Option<f32>,
     microfacet_alpha: Option<f32>,
+    /// Of GGX, of each of the surface's parts.
+    ggx_alpha: Option<Vec<f32>>,
 }
 
 #[derive(Deserialize)]
@@ -103,10 +105,15 @@ impl Truth {
             })
             .collect::<Result<Vec<TrueLamp>, BenchError>>()?;
         let relit = relit_cases(&truth.join("relit"), &lamps)?;
-        // Beckmann's slope width is √2 σ.
+        // The slopes' width is √2 σ. Where it differs from part to part, there is no one σ.
         let sigma = file.material.and_then(|material| {
+            let parts = material.ggx_alpha.unwrap_or_default();
+            let common = parts
+                .first()
+                .filter(|first| parts.iter().all(|p| p == *first));
+            let alpha = material.microfacet_alpha.or(common.copied());
             let of_alpha = |alpha: f32| alpha / std::f32::consts::SQRT_2;
-            material.sigma.or(material.microfacet_alpha.map(of_alpha))
+            material.sigma.or(alpha.map(of_alpha))
         });
         Ok(Self {
             sigma: sigma.filter(|&sigma| sigma > 0.0),

@@ -4,7 +4,7 @@ use std::f32::consts::FRAC_PI_2;
 
 use glam::Vec3;
 
-use super::case::Group;
+use super::case::{Case, Group};
 use crate::synth::{Files, Lamps, Light, Material, Mistake, Normals, Object, Places, Recipe};
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::SpecularModel;
@@ -47,6 +47,37 @@ pub(super) fn groups(size: [u32; 2]) -> Vec<Group> {
     .concat()
 }
 
+/// Each form of the lobe fitted by each other.
+fn wrong_lobes(base: &Recipe) -> Group {
+    let sigma = 0.1;
+    let dielectric = |model| Material::dielectric(model, sigma, 1.5);
+    let lobes = [
+        ("paper", Material::paper(sigma, 0.4)),
+        ("beckmann", dielectric(SpecularModel::Beckmann)),
+        ("ggx", dielectric(SpecularModel::Ggx)),
+        ("metal", Material::metal(sigma, 0.4)),
+    ];
+    let case = |(name, material): (&str, Material), fitted: &str| {
+        let mut recipe = base.clone();
+        recipe.material = material;
+        Case {
+            label: format!("{name} by {fitted}"),
+            value: None,
+            recipe,
+            options: vec!["--specular".to_owned(), fitted.to_owned()],
+        }
+    };
+    let pairs = (lobes.iter()).flat_map(|lobe| lobes.iter().map(move |fitted| (*lobe, fitted.0)));
+    Group {
+        name: "wrong_lobe",
+        swept: "the surface's lobe by the one that is fitted",
+        cases: pairs
+            .filter(|(lobe, fitted)| lobe.0 != *fitted)
+            .map(|(lobe, fitted)| case(lobe, fitted))
+            .collect(),
+    }
+}
+
 fn surface(base: &Recipe) -> Vec<Group> {
     let roughness = &[0.01, 0.02, 0.04, 0.075, 0.15, 0.25, 0.35, 0.5];
     let objects = [
@@ -67,13 +98,32 @@ fn surface(base: &Recipe) -> Vec<Group> {
         ),
         Group::sweep(
             "microfacet",
-            "σ of a microfacet lobe, radians",
+            "σ of Beckmann's lobe, radians",
             base,
             &[0.05, 0.1, 0.2, 0.35],
             |recipe, sigma| {
                 recipe.material = Material::dielectric(SpecularModel::Beckmann, sigma as f32, 1.5);
             },
         ),
+        Group::sweep(
+            "ggx",
+            "σ of GGX's lobe, radians",
+            base,
+            &[0.05, 0.1, 0.2],
+            |recipe, sigma| {
+                recipe.material = Material::dielectric(SpecularModel::Ggx, sigma as f32, 1.5);
+            },
+        ),
+        Group::sweep(
+            "metal",
+            "σ of a metal's lobe, radians",
+            base,
+            &[0.05, 0.1, 0.2],
+            |recipe, sigma| {
+                recipe.material = Material::metal(sigma as f32, 0.4);
+            },
+        ),
+        wrong_lobes(base),
         Group::sweep(
             "strength",
             "K_S",

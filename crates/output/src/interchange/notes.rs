@@ -40,6 +40,13 @@ pub fn notes(asset: &Asset, fidelity: Option<Fidelity>) -> Vec<String> {
              to {ggx_db:.1} dB, in the worst view."
         ));
     }
+    if material.model == Some(SpecularModel::Metal) {
+        notes.push(
+            "The surface reflects as a metal does, whose colour can't be told from the light's. These files hold a dielectric of \
+             the same roughness under light of that colour; for a metal, whiten the light and set the material to metallic."
+                .to_owned(),
+        );
+    }
     if material.f0 >= 0.9 {
         notes.push(
             "With so high a --white-albedo the surface would have to be a mirror; the colours come out darker.".to_owned(),
