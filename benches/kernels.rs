@@ -39,10 +39,7 @@ const FEWEST: usize = 5;
 const MOST: usize = 100;
 const ENOUGH: Duration = Duration::from_secs(2);
 
-const BRDF: Brdf = Brdf {
-    model: SpecularModel::Beckmann,
-    sigma: 0.08,
-};
+const BRDF: Brdf = Brdf::new(SpecularModel::Beckmann, 0.08);
 
 static WORKSPACE: Workspace = Workspace::new();
 static NEVER: AtomicBool = AtomicBool::new(false);

@@ -547,10 +547,7 @@ impl Estimation {
             let subject = Subject::Running {
                 capture: Arc::clone(capture),
                 texture,
-                brdf: Brdf {
-                    model: step.model,
-                    sigma: step.iteration.sigma,
-                },
+                brdf: Brdf::new(step.model, step.iteration.sigma),
             };
             Some((subject, lighting))
         };

@@ -525,10 +525,7 @@ mod tests {
     use rekindle_scene::reflectance::SpecularModel;
     use rekindle_scene::surface::fixtures::bumpy_sphere;
 
-    const PLASTIC: Brdf = Brdf {
-        model: SpecularModel::Beckmann,
-        sigma: 0.1,
-    };
+    const PLASTIC: Brdf = Brdf::new(SpecularModel::Beckmann, 0.1);
 
     /// The unit sphere seen from inside: every point sees the whole sphere.
     fn cavity() -> Mesh {

@@ -177,10 +177,7 @@ mod tests {
 
     #[test]
     fn a_smooth_lobe_reflects_as_fresnel_says() {
-        let lobe = Lobe::new(Brdf {
-            model: SpecularModel::Beckmann,
-            sigma: 0.005,
-        });
+        let lobe = Lobe::new(Brdf::new(SpecularModel::Beckmann, 0.005));
         for cos in [1.0, 0.8, 0.5, 0.3, 0.15] {
             let found = f64::from(lobe.reflectance(cos));
             let expected = fresnel(f64::from(cos));
@@ -195,10 +192,7 @@ mod tests {
     #[test]
     fn a_rough_lobe_never_reflects_more_than_it_gets() {
         for sigma in [0.02, 0.1, 0.3, 0.5] {
-            let lobe = Lobe::new(Brdf {
-                model: SpecularModel::Beckmann,
-                sigma,
-            });
+            let lobe = Lobe::new(Brdf::new(SpecularModel::Beckmann, sigma));
             for i in 0..=100 {
                 let r = lobe.reflectance(i as f32 / 100.0);
                 assert!((0.0..=1.0).contains(&r), "{r} at roughness {sigma}");

@@ -19,22 +19,10 @@ use rekindle_scene::surface::fixtures::{bumpy_sphere, camera};
 use rekindle_scene::surface::{Atlas, Occluder};
 use rekindle_solution::{Fit, Skipped, Solution, SolutionLamp};
 
-const PAPER: Brdf = Brdf {
-    model: SpecularModel::Paper,
-    sigma: 0.12,
-};
-const GGX: Brdf = Brdf {
-    model: SpecularModel::Ggx,
-    sigma: 0.12,
-};
-const METAL: Brdf = Brdf {
-    model: SpecularModel::Metal,
-    sigma: 0.12,
-};
-const PLASTIC: Brdf = Brdf {
-    model: SpecularModel::Beckmann,
-    sigma: 0.12,
-};
+const PAPER: Brdf = Brdf::new(SpecularModel::Paper, 0.12);
+const GGX: Brdf = Brdf::new(SpecularModel::Ggx, 0.12);
+const METAL: Brdf = Brdf::new(SpecularModel::Metal, 0.12);
+const PLASTIC: Brdf = Brdf::new(SpecularModel::Beckmann, 0.12);
 
 fn gpu() -> Gpu {
     static GPU: OnceLock<Gpu> = OnceLock::new();

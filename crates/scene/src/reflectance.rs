@@ -50,6 +50,32 @@ pub struct Brdf {
     pub model: SpecularModel,
     /// Roughness σ: standard deviation of the facets' tilt, radians.
     pub sigma: f32,
+    /// What it reflects specularly, as a multiple of what the object's main lobe does; 1 for that. Lobes have the peak 1 whatever
+    /// it is, see [`Gloss::height`]; what they take from the diffuse part depends on it.
+    pub strength: f32,
+}
+
+/// How the lobe of a part of the surface differs from the object's main one.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Gloss {
+    /// Roughness as a multiple of the main one, positive.
+    pub roughness: f32,
+    /// Specularly reflected part of uniform light at normal incidence, as a multiple of the main lobe's; none where it is 0.
+    pub strength: f32,
+}
+
+impl Gloss {
+    /// The main lobe's own.
+    pub const MAIN: Self = Self {
+        roughness: 1.0,
+        strength: 1.0,
+    };
+
+    /// Peak of the lobe as a multiple of the main one's: a lobe of the same strength is lower the wider it is.
+    #[inline(always)]
+    pub fn height(self) -> f32 {
+        self.strength / (self.roughness * self.roughness)
+    }
 }
 
 /// A lobe's value and its derivative by σ.
@@ -76,6 +102,25 @@ pub struct ViewTerms {
 }
 
 impl Brdf {
+    /// A main lobe.
+    pub const fn new(model: SpecularModel, sigma: f32) -> Self {
+        Self {
+            model,
+            sigma,
+            strength: 1.0,
+        }
+    }
+
+    /// The lobe of a part with another gloss, where this is the main one.
+    #[inline(always)]
+    pub fn at(&self, gloss: Gloss) -> Self {
+        Self {
+            model: self.model,
+            sigma: self.sigma * gloss.roughness,
+            strength: self.strength * gloss.strength,
+        }
+    }
+
     /// The terms of a lobe seen from the unit direction `view` on a surface with the unit `normal`.
     pub fn view_terms(&self, normal: Vec3, view: Vec3) -> ViewTerms {
         let cos_normal = normal.dot(view);
@@ -122,7 +167,7 @@ impl Brdf {
     pub fn diffuse_entry(&self, cos: f32) -> f32 {
         match self.model {
             SpecularModel::Paper | SpecularModel::Ggx | SpecularModel::Metal => 1.0,
-            SpecularModel::Beckmann => smooth_transmittance(cos),
+            SpecularModel::Beckmann => smooth_transmittance(cos, self.strength),
         }
     }
 
@@ -133,9 +178,10 @@ impl Brdf {
     pub fn diffuse_exit(&self, cos: f32) -> f32 {
         match self.model {
             SpecularModel::Paper | SpecularModel::Metal => 1.0,
-            SpecularModel::Beckmann => smooth_transmittance(cos),
+            SpecularModel::Beckmann => smooth_transmittance(cos, self.strength),
             SpecularModel::Ggx => {
-                (1.0 - ggx_reflectance(cos, self.sigma)) / (1.0 - ggx_reflectance(1.0, self.sigma))
+                let passed = |cos| 1.0 - self.strength.min(1.0) * ggx_reflectance(cos, self.sigma);
+                passed(cos) / passed(1.0)
             }
         }
     }
@@ -156,7 +202,7 @@ impl Brdf {
             SpecularModel::Metal => USUAL_METAL,
             _ => NORMAL_FRESNEL,
         };
-        reflectance / (8.0 * std::f32::consts::PI * self.sigma * self.sigma)
+        self.strength * reflectance / (8.0 * std::f32::consts::PI * self.sigma * self.sigma)
     }
 
     /// Part of the light from a direction at the cosine `cos_light` that facets seen at the cosine `cos_between` (of
@@ -164,7 +210,8 @@ impl Brdf {
     pub fn facet_reflectance(&self, cos_light: f32, cos_between: f32) -> f32 {
         match self.model {
             SpecularModel::Beckmann | SpecularModel::Ggx if cos_light > 0.0 => {
-                fresnel(cos_between) * self.model.masking(cos_light, self.sigma).value
+                let masking = self.model.masking(cos_light, self.sigma).value;
+                (self.strength * fresnel(cos_between)).min(1.0) * masking
             }
             _ => 0.0,
         }
@@ -339,7 +386,6 @@ const NORMAL_FRESNEL: f32 = {
     r * r
 };
 const INVERSE_NORMAL_FRESNEL: f32 = 1.0 / NORMAL_FRESNEL;
-const INVERSE_NORMAL_TRANSMITTANCE: f32 = 1.0 / (1.0 - NORMAL_FRESNEL);
 
 /// Unpolarised Fresnel reflectance of a dielectric at the cosine `c` of incidence.
 #[inline(always)]
@@ -352,10 +398,12 @@ fn fresnel(c: f32) -> f32 {
     0.5 * a * a * (1.0 + b * b)
 }
 
-/// What passes a smooth surface at the cosine `cos`, as a ratio to normal incidence.
+/// What passes a smooth surface at the cosine `cos`, as a ratio to normal incidence; one that reflects `strength` times what a
+/// dielectric does, at most once.
 #[inline(always)]
-fn smooth_transmittance(cos: f32) -> f32 {
-    (1.0 - fresnel(cos.clamp(1e-3, 1.0))) * INVERSE_NORMAL_TRANSMITTANCE
+fn smooth_transmittance(cos: f32, strength: f32) -> f32 {
+    let strength = strength.min(1.0);
+    (1.0 - strength * fresnel(cos.clamp(1e-3, 1.0))) / (1.0 - strength * NORMAL_FRESNEL)
 }
 
 /// Part of uniform light that a GGX lobe sends towards a viewer at the cosine `cos`: the Fresnel reflectance at a steeper
@@ -445,7 +493,7 @@ mod tests {
         for model in SpecularModel::ALL {
             for (n, v, l) in configurations() {
                 let at = |sigma: f32| {
-                    let brdf = Brdf { model, sigma };
+                    let brdf = Brdf::new(model, sigma);
                     brdf.lobe_with_derivative(&brdf.view_terms(n, v), l)
                 };
                 let step = 2e-3;
@@ -464,10 +512,7 @@ mod tests {
     fn paper_lobe_is_equation_4() {
         for (n, v, l) in configurations() {
             let sigma = 0.15_f32;
-            let brdf = Brdf {
-                model: SpecularModel::Paper,
-                sigma,
-            };
+            let brdf = Brdf::new(SpecularModel::Paper, sigma);
             let (n, v, l) = (n.as_dvec3(), v.as_dvec3(), l.as_dvec3());
             let alpha = n.dot((l + v).normalize_or_zero()).clamp(-1.0, 1.0).acos();
             let expected = (-alpha * alpha / (2.0 * f64::from(sigma).powi(2))).exp() / n.dot(v);
@@ -482,7 +527,7 @@ mod tests {
     #[test]
     fn microfacet_lobes_are_reciprocal_and_one_at_the_peak() {
         for model in [SpecularModel::Beckmann, SpecularModel::Ggx] {
-            let brdf = Brdf { model, sigma: 0.1 };
+            let brdf = Brdf::new(model, 0.1);
             let peak = brdf.lobe(&brdf.view_terms(Vec3::Z, Vec3::Z), Vec3::Z);
             assert!((peak - 1.0).abs() < 1e-5, "{model:?}: peak {peak}");
             for (n, v, l) in configurations() {
@@ -519,10 +564,7 @@ mod tests {
     #[test]
     fn the_diffuse_part_loses_what_a_ggx_lobe_reflects() {
         for sigma in [0.06, 0.12, 0.3] {
-            let brdf = Brdf {
-                model: SpecularModel::Ggx,
-                sigma,
-            };
+            let brdf = Brdf::new(SpecularModel::Ggx, sigma);
             let normal = 1.0 - reflected(brdf, 1.0);
             for (cos, most) in [(0.8, 0.005), (0.5, 0.005), (0.3, 0.007), (0.15, 0.025)] {
                 let expected = (1.0 - reflected(brdf, cos)) / normal;
@@ -538,7 +580,7 @@ mod tests {
     #[test]
     fn light_from_behind_contributes_nothing() {
         for model in SpecularModel::ALL {
-            let brdf = Brdf { model, sigma: 0.4 };
+            let brdf = Brdf::new(model, 0.4);
             let terms = brdf.view_terms(Vec3::Z, Vec3::new(0.8, 0.0, 0.6));
             assert_eq!(
                 brdf.lobe(&terms, Vec3::new(-0.8, 0.0, -0.01)),
@@ -551,7 +593,7 @@ mod tests {
     #[test]
     fn support_bounds_the_lobe() {
         for model in SpecularModel::ALL {
-            let brdf = Brdf { model, sigma: 0.1 };
+            let brdf = Brdf::new(model, 0.1);
             let reach = brdf.half_angle_support(1e-3);
             let terms = brdf.view_terms(Vec3::Z, Vec3::Z);
             let peak = brdf.lobe(&terms, Vec3::Z);

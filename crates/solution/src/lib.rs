@@ -410,7 +410,7 @@ impl Solution {
             brdf: manifest
                 .specular_model
                 .zip(manifest.sigma)
-                .map(|(model, sigma)| Brdf { model, sigma }),
+                .map(|(model, sigma)| Brdf::new(model, sigma)),
             chosen_because: manifest.chosen_because,
             corrections: manifest.corrections,
             sigma_interval95: manifest.sigma_interval95,
@@ -797,10 +797,7 @@ mod tests {
         Solution {
             name: "example".to_owned(),
             method: Method::default(),
-            brdf: Some(Brdf {
-                model: SpecularModel::Beckmann,
-                sigma: 0.075_123,
-            }),
+            brdf: Some(Brdf::new(SpecularModel::Beckmann, 0.075_123)),
             chosen_because: "it was asked for".to_owned(),
             origin: String::new(),
             corrections: Vec::new(),

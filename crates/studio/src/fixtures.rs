@@ -25,10 +25,7 @@ pub fn solution() -> Arc<Solution> {
     let mesh = bumpy_sphere(24, 0.08);
     let occluder = Occluder::new(&mesh);
     let grid = HemisphereGrid::new(20, Vec3::Y, None, Vec3::ZERO);
-    let brdf = Some(Brdf {
-        model: SpecularModel::Beckmann,
-        sigma: 0.1,
-    });
+    let brdf = Some(Brdf::new(SpecularModel::Beckmann, 0.1));
     let mut radiance = vec![[0.0; 3]; grid.directions.len()];
     let mut lamps = Vec::new();
     for (i, (towards, light)) in [

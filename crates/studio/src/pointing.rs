@@ -163,10 +163,7 @@ mod tests {
     #[test]
     fn the_highlight_comes_to_the_point() {
         // The lobe of a small lamp placed so must peak there: no other point of the sphere around it is brighter.
-        let brdf = Brdf {
-            model: SpecularModel::Paper,
-            sigma: 0.1,
-        };
+        let brdf = Brdf::new(SpecularModel::Paper, 0.1);
         let eye = Vec3::new(0.5, 1.0, 6.0);
         for radius in [None, Some(3.0)] {
             for normal in [
@@ -219,10 +216,7 @@ mod tests {
     #[test]
     fn a_highlight_is_asked_for_its_lamp() {
         let (mesh, occluder) = sphere();
-        let brdf = Some(Brdf {
-            model: SpecularModel::Beckmann,
-            sigma: 0.08,
-        });
+        let brdf = Some(Brdf::new(SpecularModel::Beckmann, 0.08));
         let eye = Vec3::new(0.0, 0.0, 8.0);
         let normals = [
             Vec3::new(0.5, 0.3, 0.812_404),

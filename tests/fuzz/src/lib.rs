@@ -150,10 +150,7 @@ pub fn solution() -> Solution {
     Solution {
         name: "seed".to_owned(),
         method: Method::default(),
-        brdf: Some(Brdf {
-            model: SpecularModel::Beckmann,
-            sigma: 0.1,
-        }),
+        brdf: Some(Brdf::new(SpecularModel::Beckmann, 0.1)),
         chosen_because: String::new(),
         corrections: Vec::new(),
         sigma_interval95: Some([0.09, 0.11]),

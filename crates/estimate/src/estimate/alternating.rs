@@ -109,10 +109,7 @@ pub fn solve(
         return Ok(None);
     }
     let (cells, start) = unknowns(solver.pyramid, &evidence);
-    let brdf = Brdf {
-        model,
-        sigma: FIRST_SIGMA,
-    };
+    let brdf = Brdf::new(model, FIRST_SIGMA);
     let coarse: Vec<Cell> = evidence.keys().copied().collect();
     let directions = solver.pyramid.geometry(&coarse).directions;
     let mut observations = solver.points_showing(&directions, &brdf, POINTS);

@@ -89,9 +89,13 @@ impl Design<'_> {
         lobes.light(point.position, point.normal, self.seen.of(index), out);
     }
 
-    fn lobes(&self, brdf: &Brdf) -> CellLobes<'_> {
+    /// The lobes of each of the surface's parts.
+    fn lobes(&self, brdf: &Brdf) -> Vec<CellLobes<'_>> {
         let whole = !self.shortcuts.takes(Shortcut::Lobes);
-        CellLobes::new(brdf, &self.geometry, self.near, whole)
+        let glosses = self.observations.glosses.iter();
+        glosses
+            .map(|&gloss| CellLobes::new(brdf, gloss, &self.geometry, self.near, whole))
+            .collect()
     }
 
     /// The eliminated normal equations for weights per row.
@@ -136,14 +140,14 @@ impl Design<'_> {
     /// Products of all columns, those of the cells and then the three of what was measured, over some points.
     fn run_equations(
         &self,
-        lobes: &CellLobes<'_>,
+        lobes: &[CellLobes<'_>],
         weights: &[f32],
         first: usize,
         last: usize,
     ) -> Lower {
         let width = self.cells() + 3;
         let mut gram = Lower::new(self.workspace.zeros(Lower::size(width)), width);
-        let mut light = lobes.point();
+        let mut light = lobes[0].point();
         let (mut block, mut compact): (Vec<f32>, Vec<f32>) = (Vec::new(), Vec::new());
         for points in self.blocks(first, last) {
             if self.stop.load(Ordering::Relaxed) {
@@ -153,6 +157,7 @@ impl Design<'_> {
             block.resize(rows.len() * width, 0.0);
             let mut rest = block.as_mut_slice();
             for index in points.clone() {
+                let lobes = &lobes[self.observations.points[index].gloss];
                 self.light(lobes, index, &mut light);
                 let of_point = self.observations.points[index].rows.len() * width;
                 let (own, others) = rest.split_at_mut(of_point);
@@ -173,7 +178,7 @@ impl Design<'_> {
                 let (own, others) = rest.split_at(point.rows.len() * width);
                 let first = compact.len();
                 columns.pick(own, &mut compact);
-                let kept = self.eliminate(&lobes.brdf(), weights, point, &mut compact[first..]);
+                let kept = self.eliminate(&lobes[point.gloss].brdf(), weights, point, &mut compact[first..]);
                 compact.truncate(first + kept * m);
                 rest = others;
             }
@@ -265,7 +270,7 @@ impl Design<'_> {
             .map(|(first, last)| {
                 let mut sums = [vec![0.0_f64; n], vec![0.0; n], vec![0.0; n]];
                 let mut own = [vec![0.0_f32; n], vec![0.0; n], vec![0.0; n]];
-                let mut light = lobes.point();
+                let mut light = lobes[0].point();
                 let mut value = vec![0.0_f32; n];
                 for points in self.blocks(first, last) {
                     if self.stop.load(Ordering::Relaxed) {
@@ -273,10 +278,11 @@ impl Design<'_> {
                     }
                     for index in points {
                         let point = &self.observations.points[index];
-                        self.light(&lobes, index, &mut light);
+                        let lobes = &lobes[point.gloss];
+                        self.light(lobes, index, &mut light);
                         for k in point.rows.clone() {
                             let to_camera = self.observations.rows[k].to_camera;
-                            let terms = brdf.view_terms(point.normal, to_camera);
+                            let terms = lobes.brdf().view_terms(point.normal, to_camera);
                             lobes.row(&terms, &light, &mut value, None);
                             for (sum, z) in own.iter_mut().zip(values[k]).take(channels) {
                                 vector::add_scaled(sum, weights[k] * z, &value);
@@ -370,16 +376,17 @@ impl Design<'_> {
                 (points, values, derivatives)
             })
             .collect();
-        let room = || (lobes.point(), vec![0.0; padded], vec![0.0; padded]);
+        let room = || (lobes[0].point(), vec![0.0; padded], vec![0.0; padded]);
         blocks.into_par_iter().for_each_init(
             room,
             |(light, value, by_sigma), (points, values, derivatives)| {
                 let mut k = 0;
                 for index in points {
                     let point = &self.observations.points[index];
-                    design.light(&lobes, index, light);
+                    let lobes = &lobes[point.gloss];
+                    design.light(lobes, index, light);
                     for row in &self.observations.rows[point.rows.clone()] {
-                        let terms = brdf.view_terms(point.normal, row.to_camera);
+                        let terms = lobes.brdf().view_terms(point.normal, row.to_camera);
                         let derivative = derive.then_some(&mut by_sigma[..n]);
                         lobes.row(&terms, light, &mut value[..n], derivative);
                         values[k] = sum(value);

@@ -19,7 +19,7 @@ use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
 use super::merging::merge_lamps;
 use super::misfit::Misfit;
-use super::observations::{Candidate, Observations, Row, Sampling, Seen};
+use super::observations::{Candidate, Observations, Row, Sampling, Seen, widest};
 use super::observer::{Interim, Iteration, Observer, Stopped, Unobserved, go_on};
 use super::spread::even_out;
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
@@ -29,7 +29,7 @@ use super::workspace::Workspace;
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::{Shortcut, Shortcuts};
-use rekindle_scene::surface::Occluder;
+use rekindle_scene::surface::{GlossParts, Occluder};
 
 /// Roughnesses compared on the coarsest cells, radians.
 const SIGMAS: [f32; 6] = [0.34, 0.21, 0.13, 0.08, 0.05, 0.03];
@@ -76,6 +76,9 @@ const DARK_SHARE: f32 = 2e-4;
 /// Rings of dark cells that are kept around lit ones while σ settles.
 const MARGIN: usize = 2;
 
+/// Rounds in which glosses and lights take turns.
+const GLOSS_ROUNDS: usize = 2;
+
 /// A lobe below this share of its peak says nothing worth a row.
 const LEAST_LOBE: f32 = 0.02;
 
@@ -92,6 +95,8 @@ pub struct Fit {
     pub noise_error: f32,
     /// What it leaves that is no noise.
     pub misfit: Misfit,
+    /// Parts of the surface whose gloss differs, where there are any.
+    pub parts: Option<GlossParts>,
 }
 
 /// The best fit on the coarsest cells.
@@ -193,7 +198,7 @@ impl Solver<'_> {
         let dark = State::new(
             self.design(&self.coarse, &roots),
             roots,
-            Brdf { model, sigma },
+            Brdf::new(model, sigma),
         );
         watch.observer.interim(Interim::Lobe(model));
         let is_near = |sigma: f32| {
@@ -266,9 +271,10 @@ impl Solver<'_> {
     pub fn fine_fit(&self, coarse: &State<'_>, watch: &mut Watch<'_>) -> Result<Fit, Stopped> {
         let mut points = self.points_of_cells(coarse, FINE_POINTS);
         let scale = Some(self.coarse.scale);
-        let all = Observations::of(points.clone(), scale);
+        let glosses = self.seen.glosses();
+        let all = Observations::of(points.clone(), glosses.clone(), scale);
         points.retain(Candidate::among_first(MIDDLE_POINTS));
-        let some = Observations::of(points, scale);
+        let some = Observations::of(points, glosses, scale);
         let some_gray = some.to_gray();
         let finest = self.pyramid.finest();
         let mut state = coarse.clone();
@@ -301,22 +307,63 @@ impl Solver<'_> {
         }
         go_on(watch.observer.progress("settling the roughness", 0.8))?;
         let mut state = self.on_points(&state, &all);
-        let step = self.improve(&mut state, 4, EXACT, watch)?;
-        let step = match step {
-            Some(step) if !drop_unsupported(&mut state, EXACT) => step,
+        let step = self.settle(&mut state, watch)?;
+        self.with_parts(state, &step, &all, GLOSS_ROUNDS, watch)
+    }
+
+    /// The fit of a settled state, after `rounds` in which the surface's parts and the lights take turns where some parts are
+    /// glossier than others.
+    fn with_parts(
+        &self,
+        state: State<'_>,
+        step: &SigmaStep,
+        observations: &Observations,
+        rounds: usize,
+        watch: &mut Watch<'_>,
+    ) -> Result<Fit, Stopped> {
+        let found = if rounds > 0 {
+            self.gloss_parts(&state)?
+        } else {
+            None
+        };
+        let Some((parts, main)) = found else {
+            return self.finish(state, step, observations, watch);
+        };
+        let parted = self.parted(&parts);
+        let observations = observations.of_parts(&parts);
+        let mut state = parted.on_points(&state.with_main(main), &observations);
+        let step = parted.settle(&mut state, watch)?;
+        parted.with_parts(state, &step, &observations, rounds - 1, watch)
+    }
+
+    /// Lights and roughness on single nodes and all points, and the last step of σ.
+    fn settle(&self, state: &mut State<'_>, watch: &mut Watch<'_>) -> Result<SigmaStep, Stopped> {
+        let step = self.improve(state, 4, EXACT, watch)?;
+        Ok(match step {
+            Some(step) if !drop_unsupported(state, EXACT) => step,
             Some(_) => state.sigma_step(),
             None => {
                 state.solve_lights(EXACT);
                 state.sigma_step()
             }
-        };
+        })
+    }
+
+    /// The fit of a settled state, whose lights are made as even and as few as the rows allow.
+    fn finish(
+        &self,
+        mut state: State<'_>,
+        step: &SigmaStep,
+        observations: &Observations,
+        watch: &mut Watch<'_>,
+    ) -> Result<Fit, Stopped> {
         let widened = step.clustered_error / step.error;
-        let by_noise = state.settle_sigma(&step, EXACT);
+        let by_noise = state.settle_sigma(step, EXACT);
         drop_satellites(&mut state);
         drop_unsupported_in_the_end(&mut state);
-        let state = even_out(self, state, &all);
+        let state = even_out(self, state, observations);
         self.report(&state, watch)?;
-        let nodes = merge_lamps(self, &state, &all);
+        let nodes = merge_lamps(self, &state, observations);
         Ok(self.fit(&state, nodes, by_noise, widened.max(1.0)))
     }
 
@@ -332,6 +379,7 @@ impl Solver<'_> {
             sigma_error: (widened * by_noise) as f32,
             noise_error: by_noise as f32,
             misfit: Misfit::of(state),
+            parts: self.seen.parts.cloned(),
         }
     }
 
@@ -408,7 +456,7 @@ impl Solver<'_> {
     /// Points for cells between the coarsest and the finest.
     pub fn middle_observations(&self, coarse: &State<'_>) -> Observations {
         let points = self.points_of_cells(coarse, MIDDLE_POINTS);
-        Observations::of(points, Some(self.coarse.scale))
+        Observations::of(points, self.seen.glosses(), Some(self.coarse.scale))
     }
 
     /// Points at which one of the lit cells, or one beside them, could show.
@@ -423,11 +471,12 @@ impl Solver<'_> {
     /// show.
     pub fn points_showing(&self, directions: &[Vec3], brdf: &Brdf, limit: usize) -> Observations {
         let points = self.candidates_showing(directions, brdf, limit);
-        Observations::of(points, Some(self.coarse.scale))
+        Observations::of(points, self.seen.glosses(), Some(self.coarse.scale))
     }
 
     fn candidates_showing(&self, directions: &[Vec3], brdf: &Brdf, limit: usize) -> Vec<Candidate> {
-        let reach = brdf.half_angle_support(LEAST_LOBE) + 0.25 * self.pyramid.spacing(0);
+        let widest = widest(brdf, &self.seen.glosses());
+        let reach = widest.half_angle_support(LEAST_LOBE) + 0.25 * self.pyramid.spacing(0);
         let least = reach.min(std::f32::consts::FRAC_PI_2).cos();
         let shows = |position: Vec3, normal: Vec3, rows: &[Row]| {
             directions.iter().any(|&d| {

@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use super::cells::CellGeometry;
 use super::visibility::SeenFrom;
-use rekindle_scene::reflectance::{Brdf, SpecularModel, ViewTerms};
+use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel, ViewTerms};
 
 /// A lobe is taken as zero below this share of its peak.
 const CUTOFF: f32 = 1e-7;
@@ -20,6 +20,7 @@ const RUN: usize = 16;
 /// as its integral stays, lower.
 pub struct CellLobes<'a> {
     brdf: Brdf,
+    gloss: Gloss,
     geometry: &'a CellGeometry,
     /// Centre and radius of a finite hemisphere.
     near: Option<(Vec3, f32)>,
@@ -61,13 +62,15 @@ pub fn light_from(near: Option<(Vec3, f32)>, direction: Vec3, position: Vec3) ->
 }
 
 impl<'a> CellLobes<'a> {
-    /// Lobes of `brdf` on these cells, cut where they have fallen to nothing unless they are to be `whole`.
+    /// Lobes of a part with this gloss, where `brdf` is the main one, on these cells, cut where they have fallen to nothing unless they are to be `whole`.
     pub fn new(
         brdf: &Brdf,
+        gloss: Gloss,
         geometry: &'a CellGeometry,
         near: Option<(Vec3, f32)>,
         whole: bool,
     ) -> Self {
+        let brdf = brdf.at(gloss);
         let variance = brdf.sigma * brdf.sigma;
         let padding = padded(geometry.spread.len()) - geometry.spread.len();
         let inverse_variance: Vec<f32> = geometry
@@ -79,7 +82,7 @@ impl<'a> CellLobes<'a> {
         let sigma: Vec<f32> = inverse_variance.iter().map(|i| 1.0 / i.sqrt()).collect();
         let widest = Brdf {
             sigma: sigma.iter().fold(brdf.sigma, |m, &s| m.max(s)),
-            ..*brdf
+            ..brdf
         };
         let support = if whole {
             std::f32::consts::FRAC_PI_2
@@ -87,7 +90,8 @@ impl<'a> CellLobes<'a> {
             widest.half_angle_support(CUTOFF)
         };
         Self {
-            brdf: *brdf,
+            brdf,
+            gloss,
             geometry,
             near,
             least_cos_squared: support.min(std::f32::consts::FRAC_PI_2).cos().powi(2),
@@ -97,7 +101,7 @@ impl<'a> CellLobes<'a> {
         }
     }
 
-    /// Model and roughness of the sharp lobe.
+    /// The sharp lobe.
     pub fn brdf(&self) -> Brdf {
         self.brdf
     }
@@ -126,15 +130,20 @@ impl<'a> CellLobes<'a> {
         seen: Option<SeenFrom<'_>>,
         out: &mut PointLobes,
     ) {
+        let peak = self.gloss.height();
         let solid_angles = &self.geometry.solid_angles;
         let strength = &mut out.strength[..solid_angles.len()];
         match seen {
             Some(seen) => {
                 for ((s, w), m) in strength.iter_mut().zip(solid_angles).zip(seen.shares()) {
-                    *s = w * m;
+                    *s = peak * w * m;
                 }
             }
-            None => strength.copy_from_slice(solid_angles),
+            None => {
+                for (s, w) in strength.iter_mut().zip(solid_angles) {
+                    *s = peak * w;
+                }
+            }
         }
         if self.near.is_some() {
             let directions = self.geometry.directions.iter();
@@ -401,6 +410,8 @@ impl<'a> Run<'a> {
         let log_masking_by_sigma = run(&self.light.log_masking_by_sigma, self.first);
         let height = run(&self.lobes.height, self.first);
         let sigma = self.lobes.brdf.sigma;
+        // By the main σ, of which this one is a multiple.
+        let by_main = self.lobes.gloss.roughness;
         let (mut value, mut by_sigma) = ([0.0; RUN], [0.0; RUN]);
         for c in 0..RUN {
             let facets = self
@@ -414,7 +425,7 @@ impl<'a> Run<'a> {
                 + height[c].sqrt() * log_masking_by_sigma[c]
                 + self.terms.log_scale_by_sigma()
                 + 2.0 / sigma * (1.0 - height[c]);
-            by_sigma[c] = value[c] * log_derivative;
+            by_sigma[c] = value[c] * log_derivative * by_main;
         }
         (value, by_sigma)
     }

@@ -11,6 +11,7 @@ mod diagnose;
 mod ellipse;
 mod exposures;
 mod fast;
+mod gloss;
 mod gram;
 mod lamps;
 pub mod lobes;
@@ -41,7 +42,7 @@ use rekindle_capture::Capture;
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::{LeftOut, Shortcut, ShortcutSet, Shortcuts};
-use rekindle_scene::surface::{Occluder, ViewSurface};
+use rekindle_scene::surface::{GlossParts, Occluder, ViewSurface};
 
 use alternating::{Order, Terms};
 use cells::Pyramid;
@@ -131,6 +132,8 @@ pub struct Estimate {
     pub diagnostics: Diagnostics,
     /// Every iteration.
     pub convergence: Vec<Iteration>,
+    /// Parts of the surface whose gloss differs from the main one, which `brdf` is; `None` where it has one for all.
+    pub parts: Option<GlossParts>,
     /// Why this specular model, in a sentence.
     pub chosen_because: String,
     /// The surface that all this holds for, where it isn't the capture's mesh: that one is too coarse.
@@ -154,6 +157,7 @@ impl Estimate {
             radiance: vec![[0.0; 3]; grid.directions.len()],
             diagnostics: Diagnostics::default(),
             convergence: Vec::new(),
+            parts: None,
             chosen_because: String::new(),
             refined: None,
             exposures: Vec::new(),
@@ -230,6 +234,7 @@ fn run(
         mesh: &input.capture.mesh,
         views: &input.capture.views,
         surfaces: input.surfaces,
+        parts: None,
     };
     let workspace = Workspace::new();
     let solver = Solver {
@@ -418,6 +423,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, fit: Fit, suspicion: Optio
     result.sigma_interval95 = Some(interval.map(|end| end.max(0.0)));
     result.brdf = Some(fit.brdf);
     result.radiance = fit.nodes;
+    result.parts = fit.parts;
 }
 
 /// The coarse fit of the model asked for, or of the one `among` others that leaves least, with the reason in words; the paper's

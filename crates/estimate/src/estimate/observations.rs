@@ -12,7 +12,8 @@ use rayon::prelude::*;
 
 use rekindle_base::math::morton;
 use rekindle_capture::{Mesh, Photograph, View};
-use rekindle_scene::surface::ViewSurface;
+use rekindle_scene::reflectance::{Brdf, Gloss};
+use rekindle_scene::surface::{GlossParts, ViewSurface};
 
 /// Rows at a smaller cosine between normal and view are not used: 1/cos θ_r magnifies there whatever is wrong in
 /// the normals, and a pixel covers many of them.
@@ -30,6 +31,23 @@ pub struct Seen<'a> {
     pub views: &'a [View],
     /// What each view sees of the surface, one per view.
     pub surfaces: &'a [ViewSurface],
+    /// Which parts of the surface have another gloss than the rest, where that is known.
+    pub parts: Option<&'a GlossParts>,
+}
+
+impl Seen<'_> {
+    /// Glosses of the surface's parts.
+    pub fn glosses(&self) -> Vec<Gloss> {
+        self.parts
+            .map_or_else(|| vec![Gloss::MAIN], |parts| parts.glosses.clone())
+    }
+}
+
+/// The widest lobe of some glosses, where `brdf` is the main one.
+pub fn widest(brdf: &Brdf, glosses: &[Gloss]) -> Brdf {
+    let shown = glosses.iter().filter(|gloss| gloss.strength > 0.0);
+    let widest = shown.max_by(|a, b| a.roughness.total_cmp(&b.roughness));
+    brdf.at(*widest.unwrap_or(&Gloss::MAIN))
 }
 
 /// The radiance of one surface point in one view.
@@ -56,13 +74,17 @@ pub struct Point {
     pub normal: Vec3,
     /// The triangle it lies on, and its weights of the second and third corner.
     pub on: (u32, Vec2),
+    /// Its gloss's place in [`Observations::glosses`].
+    pub gloss: usize,
     /// Its rows in [`Observations::rows`].
     pub rows: Range<usize>,
 }
 
 /// All points with their rows, points in the order of their normals.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Observations {
+    /// Glosses of the surface's parts; the main one where nothing else is known.
+    pub glosses: Vec<Gloss>,
     /// Surface points.
     pub points: Vec<Point>,
     /// Rows, those of one point together.
@@ -90,7 +112,8 @@ pub struct Sampling<'a> {
 impl Observations {
     /// Gathers points from all views.
     pub fn gather(seen: &Seen<'_>, sampling: &Sampling<'_>) -> Self {
-        Self::of(Candidate::all(seen, sampling), sampling.scale)
+        let glosses = seen.glosses();
+        Self::of(Candidate::all(seen, sampling), glosses, sampling.scale)
     }
 
     /// The rows of some points, which follow each other.
@@ -102,22 +125,30 @@ impl Observations {
         }
     }
 
-    /// The points of candidates.
-    pub fn of(mut candidates: Vec<Candidate>, scale: Option<f32>) -> Self {
-        candidates.sort_by_key(|c| (morton_of_direction(c.normal), c.order));
-        Self::from_candidates(&candidates, scale)
+    /// The widest of the lobes, where `brdf` is the main one.
+    pub fn widest(&self, brdf: &Brdf) -> Brdf {
+        widest(brdf, &self.glosses)
     }
 
-    fn from_candidates(candidates: &[Candidate], scale: Option<f32>) -> Self {
-        let mut all = Self::default();
+    /// The points of candidates.
+    pub fn of(mut candidates: Vec<Candidate>, glosses: Vec<Gloss>, scale: Option<f32>) -> Self {
+        candidates.sort_by_key(|c| (morton_of_direction(c.normal), c.order));
+        let mut all = Self {
+            glosses,
+            points: Vec::with_capacity(candidates.len()),
+            rows: Vec::new(),
+            scale: 1.0,
+            gray: false,
+        };
         let mut sum = 0.0_f64;
-        for candidate in candidates {
+        for candidate in &candidates {
             let first = all.rows.len();
             all.rows.extend(&candidate.rows);
             all.points.push(Point {
                 position: candidate.position,
                 normal: candidate.normal,
                 on: candidate.on,
+                gloss: candidate.gloss,
                 rows: first..all.rows.len(),
             });
             sum += candidate
@@ -139,9 +170,11 @@ impl Observations {
     /// The same without a view's rows and the points that then have fewer than two, and the places that its rows have here.
     pub fn without_view(&self, view: usize) -> (Self, Vec<usize>) {
         let mut without = Self {
+            glosses: self.glosses.clone(),
+            points: Vec::new(),
+            rows: Vec::new(),
             scale: self.scale,
             gray: self.gray,
-            ..Self::default()
         };
         let mut places = Vec::new();
         for point in &self.points {
@@ -159,6 +192,17 @@ impl Observations {
             places.extend(kept);
         }
         (without, places)
+    }
+
+    /// The same on a surface whose parts differ in gloss.
+    #[must_use]
+    pub fn of_parts(&self, parts: &GlossParts) -> Self {
+        let mut parted = self.clone();
+        parted.glosses.clone_from(&parts.glosses);
+        for point in &mut parted.points {
+            point.gloss = parts.at(point.position);
+        }
+        parted
     }
 
     /// The same with each row's three channels replaced by their mean.
@@ -194,6 +238,7 @@ pub struct Candidate {
     position: Vec3,
     normal: Vec3,
     on: (u32, Vec2),
+    gloss: usize,
     rows: Vec<Row>,
 }
 
@@ -297,6 +342,7 @@ fn candidate(seen: &Seen<'_>, view: usize, [x, y]: [u32; 2], order: u32) -> Opti
         position: point.position,
         normal: point.normal,
         on: (triangle, barycentric),
+        gloss: seen.parts.map_or(0, |parts| parts.at(point.position)),
         rows,
     })
 }

@@ -13,7 +13,7 @@ use super::weights::{
     weighted_rms,
 };
 use rekindle_base::math::nnls::{self, NnlsParams};
-use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::reflectance::{Brdf, Gloss};
 use rekindle_scene::shortcuts::Shortcut;
 
 /// How exactly the lights are solved for.
@@ -173,6 +173,17 @@ impl<'a> State<'a> {
         moved.candidates.clone_from(&self.candidates);
         moved.predict();
         moved
+    }
+
+    /// The same where a gloss that was another's becomes the main one: the lights' units are the main lobe's.
+    #[must_use]
+    pub fn with_main(&self, main: Gloss) -> Self {
+        let mut state = self.clone();
+        state.brdf.sigma *= main.roughness;
+        for value in state.radiance.as_flattened_mut() {
+            *value *= main.height();
+        }
+        state
     }
 
     /// Minimises over the lights at the present σ and weights.
@@ -621,7 +632,7 @@ impl<'a> State<'a> {
             let rows = point.rows.clone();
             let cosines = observations.rows[rows.clone()].iter().map(|r| r.cos_view);
             eliminate(
-                &self.brdf,
+                &self.brdf.at(observations.glosses[point.gloss]),
                 cosines,
                 &self.weights[rows.clone()],
                 &mut values[rows],

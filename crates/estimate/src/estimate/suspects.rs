@@ -287,7 +287,7 @@ impl Solver<'_> {
         let mut design = self.design(change.observations, &roots);
         design.near = change.near;
         let model = change.model;
-        let dark = State::new(design, roots, Brdf { model, sigma });
+        let dark = State::new(design, roots, Brdf::new(model, sigma));
         let states: Vec<State<'_>> = (STARTS.into_par_iter())
             .map(|factor| dark.lit_at(factor * sigma))
             .collect();

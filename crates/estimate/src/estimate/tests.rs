@@ -123,10 +123,7 @@ fn uniform_light_on_a_glossy_object_is_left_diffuse() {
     let mut capture = load();
     let occluder = Occluder::new(&capture.mesh);
     let sky = HemisphereGrid::new(12, Vec3::Y, None, Vec3::ZERO);
-    let brdf = Brdf {
-        model: SpecularModel::Beckmann,
-        sigma: 0.2,
-    };
+    let brdf = Brdf::new(SpecularModel::Beckmann, 0.2);
     for view in &mut capture.views {
         let surface = ViewSurface::new(&capture.mesh, &occluder, &view.camera);
         let eye = view.camera.position().as_vec3();
@@ -402,10 +399,7 @@ fn fit_with_noise(seed: u64, sigma: f32, noise: f32) -> (f32, f32) {
     let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15));
     let (pyramid, cells, lamps) = two_lamps(20);
     let mut observations = bare_observations(250, &mut random);
-    let brdf = Brdf {
-        model: SpecularModel::Paper,
-        sigma,
-    };
+    let brdf = Brdf::new(SpecularModel::Paper, sigma);
     let specular = design(&observations, &pyramid, &cells)
         .predict(&brdf, &lamps)
         .value;
@@ -464,7 +458,7 @@ fn rows_derivatives_by_sigma_agree_with_finite_differences() {
     let design = design(&observations, &pyramid, &cells);
     let radiance = vec![[1.0; 3]; cells.len()];
     for model in SpecularModel::ALL {
-        let at = |sigma: f32| design.predict(&Brdf { model, sigma }, &radiance);
+        let at = |sigma: f32| design.predict(&Brdf::new(model, sigma), &radiance);
         let (low, mid, high) = (at(0.118), at(0.12), at(0.122));
         for k in 0..observations.rows.len() {
             let difference = (high.value[k][0] - low.value[k][0]) / 0.004;

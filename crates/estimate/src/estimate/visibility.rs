@@ -97,7 +97,8 @@ pub fn cell_visibility(
     occluder: &Occluder,
 ) -> SeenCells {
     let groups = group(pyramid, cells, &design.geometry.directions);
-    let support = brdf.half_angle_support(NEGLIGIBLE) + 0.5 * groups.reach;
+    let widest = design.observations.widest(brdf);
+    let support = widest.half_angle_support(NEGLIGIBLE) + 0.5 * groups.reach;
     let n = cells.len();
     let mut shares = vec![1.0_f32; design.observations.points.len() * n];
     shares

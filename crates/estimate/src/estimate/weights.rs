@@ -60,8 +60,9 @@ pub fn residuals(
                 *value = measured - *value;
             }
         }
+        let brdf = brdf.at(design.observations.glosses[point.gloss]);
         eliminate(
-            brdf,
+            &brdf,
             rows[point.rows.clone()].iter().map(|r| r.cos_view),
             &weights[point.rows.clone()],
             &mut values[point.rows.clone()],

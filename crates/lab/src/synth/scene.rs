@@ -48,10 +48,7 @@ impl TrueSurface {
         for value in texture.iter_mut().flatten() {
             *value /= PI * material.strength;
         }
-        let brdf = Brdf {
-            model: material.model,
-            sigma: material.sigma,
-        };
+        let brdf = Brdf::new(material.model, material.sigma);
         let interreflection = recipe
             .interreflection
             .then(|| Interreflection::new(&mesh, &occluder, Some(brdf)))

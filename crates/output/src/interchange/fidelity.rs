@@ -74,7 +74,7 @@ pub fn fidelity(asset: &Asset, stop: Stop) -> Option<Fidelity> {
         let shaded = |shade: &(dyn Fn(&Place) -> Vec3 + Sync)| -> Vec<Vec3> {
             places.par_iter().map(shade).collect()
         };
-        let own = shaded(&|place| own_radiance(asset, Brdf { model, sigma }, &lamps, place));
+        let own = shaded(&|place| own_radiance(asset, Brdf::new(model, sigma), &lamps, place));
         let other = |lobe| psnr(&own, &shaded(&|place| radiance(asset, lobe, &lamps, place)));
         let here = Fidelity {
             beckmann_db: other(Lobe::Beckmann),

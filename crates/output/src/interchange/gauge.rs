@@ -32,7 +32,7 @@ pub struct Material {
 impl Material {
     /// The material of a lobe with the reflectance `f0` at normal incidence, between 0 and 1.
     pub fn new(brdf: Option<Brdf>, f0: f32) -> Self {
-        let Some(Brdf { model, sigma }) = brdf else {
+        let Some(Brdf { model, sigma, .. }) = brdf else {
             return Self {
                 model: None,
                 sigma: 0.0,
@@ -109,7 +109,7 @@ mod tests {
 
     fn material(sigma: f32) -> Material {
         let model = SpecularModel::Paper;
-        Material::new(Some(Brdf { model, sigma }), USUAL_F0)
+        Material::new(Some(Brdf::new(model, sigma)), USUAL_F0)
     }
 
     #[test]
@@ -125,7 +125,7 @@ mod tests {
     #[test]
     fn the_gauge_of_the_microfacet_model_is_the_estimates_own() {
         let model = SpecularModel::Beckmann;
-        let brdf = Brdf { model, sigma: 0.1 };
+        let brdf = Brdf::new(model, 0.1);
         let own = brdf.specular_scale().unwrap();
         let m = Material::new(Some(brdf), USUAL_F0);
         assert!((m.specular_scale / own - 1.0).abs() < 1e-5);

@@ -5,12 +5,14 @@ mod bundle;
 mod bvh;
 mod charts;
 mod fairing;
+mod parts;
 mod texture;
 mod visible;
 
 pub use atlas::{Atlas, LARGEST_SIDE, Texel};
 pub use bvh::{Hit, Occluder, WalkNode};
 pub use fairing::{Fairing, area_vectors};
+pub use parts::{GlossParts, PartPoint, likeness};
 pub use texture::{
     FULL_COVERAGE, GRAZING, MinimumTexture, Observation, Reading, is_object, minimum_texture,
     wanted_density,

@@ -1,0 +1,98 @@
+//! Parts of the surface whose gloss differs: points that say of which kind it is around them.
+
+use rstar::primitives::GeomWithData;
+use rstar::{AABB, RTree};
+
+use crate::reflectance::Gloss;
+use glam::Vec3;
+
+/// Points that have a say in what lies between them.
+const VOTERS: usize = 8;
+
+/// A point of the surface with the gloss of its part.
+#[derive(Clone, Copy, Debug)]
+pub struct PartPoint {
+    /// World position.
+    pub position: Vec3,
+    /// Logarithm of its diffuse radiance, RGB.
+    pub colour: Vec3,
+    /// Its gloss's place among all.
+    pub gloss: usize,
+}
+
+/// Parts of a surface, each with one of a few glosses.
+#[derive(Clone, Debug)]
+pub struct GlossParts {
+    /// The glosses, the main one first.
+    pub glosses: Vec<Gloss>,
+    /// Difference of colours that tells parts apart, in natural logarithms.
+    contrast: f32,
+    points: RTree<GeomWithData<[f32; 3], PartPoint>>,
+}
+
+impl GlossParts {
+    /// Parts by their points, whose colours tell them apart where these differ by `contrast`.
+    pub fn new(glosses: Vec<Gloss>, contrast: f32, points: Vec<PartPoint>) -> Self {
+        let placed = points.into_iter();
+        let placed = placed.map(|point| GeomWithData::new(point.position.to_array(), point));
+        Self {
+            glosses,
+            contrast,
+            points: RTree::bulk_load(placed.collect()),
+        }
+    }
+
+    /// Which gloss the surface has at a place: that of the nearest point.
+    pub fn at(&self, position: Vec3) -> usize {
+        let nearest = self.points.nearest_neighbor(position.to_array());
+        nearest.map_or(0, |point| point.data.gloss)
+    }
+
+    /// The gloss at a place of this colour (logarithms of RGB, where they are known), between those of the points around it.
+    pub fn between(&self, position: Vec3, colour: Option<Vec3>) -> Gloss {
+        let mut votes: Vec<(f32, usize)> = Vec::with_capacity(VOTERS);
+        let around = self
+            .points
+            .nearest_neighbor_iter_with_distance_2(position.to_array());
+        let mut reach = 0.0_f32;
+        for (point, squared) in around.take(VOTERS) {
+            reach = reach.max(squared);
+            let alike = colour.map_or(1.0, |colour| self.likeness(colour, point.data.colour));
+            votes.push((alike / (squared + 0.02 * reach).max(1e-30), point.data.gloss));
+        }
+        let total: f32 = votes.iter().map(|(weight, _)| weight).sum();
+        let (mut log_roughness, mut strength, mut shown) = (0.0, 0.0, 0.0);
+        for (weight, gloss) in votes {
+            let (part, gloss) = (weight / total, self.glosses[gloss]);
+            strength += part * gloss.strength;
+            shown += part * gloss.strength;
+            log_roughness += part * gloss.strength * gloss.roughness.ln();
+        }
+        let roughness = if shown > 0.0 {
+            (log_roughness / shown).exp()
+        } else {
+            1.0
+        };
+        Gloss {
+            roughness,
+            strength,
+        }
+    }
+
+    /// How alike two colours are, from 0 to 1.
+    pub fn likeness(&self, one: Vec3, other: Vec3) -> f32 {
+        likeness(self.contrast, one, other)
+    }
+
+    /// The points within a box.
+    pub fn within(&self, least: Vec3, most: Vec3) -> impl Iterator<Item = &PartPoint> {
+        let corners = AABB::from_corners(least.to_array(), most.to_array());
+        self.points.locate_in_envelope(corners).map(|p| &p.data)
+    }
+}
+
+/// How alike two colours are, from 0 to 1, where differences by `contrast` tell them apart.
+pub fn likeness(contrast: f32, one: Vec3, other: Vec3) -> f32 {
+    let apart = one.distance_squared(other) / (contrast * contrast);
+    (-0.5 * apart).exp().max(1e-4)
+}
