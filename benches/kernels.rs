@@ -22,7 +22,7 @@ use rekindle_estimate::estimate::visibility::SeenCells;
 use rekindle_estimate::estimate::workspace::Workspace;
 use rekindle_relight::{LampNodes, Lighting, Scene, Shader, TriangleShares, texel_irradiance};
 use rekindle_scene::hemisphere::HemisphereGrid;
-use rekindle_scene::reflectance::{Brdf, SpecularModel};
+use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
 use rekindle_scene::shortcuts::Shortcuts;
 use rekindle_scene::surface::{Atlas, Occluder, ViewSurface, minimum_texture, wanted_density};
 
@@ -146,6 +146,7 @@ fn observations() -> Observations {
         mesh: &DEMO.capture.mesh,
         views: &DEMO.capture.views,
         surfaces: &DEMO.surfaces,
+        parts: None,
     };
     let sampling = Sampling {
         candidates: POINTS,
@@ -174,7 +175,7 @@ fn equations() -> NormalEquations {
 /// One row of the matrix: all coarsest cells at a point, in a view.
 fn lobes(bencher: &Bencher) {
     let geometry = DEMO.pyramid.geometry(&CELLS);
-    let lobes = CellLobes::new(&BRDF, &geometry, None, false);
+    let lobes = CellLobes::new(&BRDF, Gloss::MAIN, &geometry, None, false);
     let point = &OBSERVATIONS.points[0];
     let to_camera = OBSERVATIONS.rows[point.rows.start].to_camera;
     let terms = BRDF.view_terms(point.normal, to_camera);
@@ -268,6 +269,7 @@ fn textures(bencher: &Bencher) {
         mesh: &capture.mesh,
         occluder: &DEMO.occluder,
         brdf: Some(BRDF),
+        gloss: None,
         surroundings: None,
     };
     bencher.time("irradiance of all texels under a lamp", || {

@@ -19,6 +19,8 @@ struct Brdf {
     /// PAPER, BECKMANN, GGX, METAL or NO_LOBE.
     model: u32,
     sigma: f32,
+    /// What it reflects, as a multiple of what the main lobe does.
+    strength: f32,
 }
 
 /// What depends on normal and view only.
@@ -63,8 +65,9 @@ fn squared_arccos(c: f32) -> f32 {
     return (1.0 - c) * p * p;
 }
 
-fn smooth_transmittance(cosine: f32) -> f32 {
-    return (1.0 - fresnel(clamp(cosine, 1e-3, 1.0))) / (1.0 - NORMAL_FRESNEL);
+fn smooth_transmittance(cosine: f32, strength: f32) -> f32 {
+    let part = min(strength, 1.0);
+    return (1.0 - part * fresnel(clamp(cosine, 1e-3, 1.0))) / (1.0 - part * NORMAL_FRESNEL);
 }
 
 /// Part of uniform light that a GGX lobe sends towards a viewer.
@@ -82,16 +85,17 @@ fn diffuse_entry(brdf: Brdf, cosine: f32) -> f32 {
     if (brdf.model != BECKMANN) {
         return 1.0;
     }
-    return smooth_transmittance(cosine);
+    return smooth_transmittance(cosine, brdf.strength);
 }
 
 /// How much of diffusely reflected light passes the surface towards a viewer, against normal exitance.
 fn diffuse_exit(brdf: Brdf, cosine: f32) -> f32 {
     if (brdf.model == BECKMANN) {
-        return smooth_transmittance(cosine);
+        return smooth_transmittance(cosine, brdf.strength);
     }
     if (brdf.model == GGX) {
-        return (1.0 - ggx_reflectance(cosine, brdf.sigma)) / (1.0 - ggx_reflectance(1.0, brdf.sigma));
+        let part = min(brdf.strength, 1.0);
+        return (1.0 - part * ggx_reflectance(cosine, brdf.sigma)) / (1.0 - part * ggx_reflectance(1.0, brdf.sigma));
     }
     return 1.0;
 }

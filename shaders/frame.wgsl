@@ -56,7 +56,7 @@ struct Frame {
 @group(0) @binding(0) var<uniform> frame: Frame;
 
 fn brdf_of_frame() -> Brdf {
-    return Brdf(frame.model, frame.sigma);
+    return Brdf(frame.model, frame.sigma, 1.0);
 }
 
 fn eye() -> vec3f {

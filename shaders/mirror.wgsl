@@ -92,7 +92,7 @@ fn mirror_ray(brdf: Brdf, normal: vec3f, view: vec3f) -> MirrorRay {
     let cos_view = dot(normal, view);
     if (frame.half_vector >= HALF_VECTORS) {
         let light = normal * (2.0 * cos_view) - view;
-        return MirrorRay(light, fresnel(max(cos_view, 1e-3)) * masking(brdf, max(cos_view, 1e-4)));
+        return MirrorRay(light, min(brdf.strength * fresnel(max(cos_view, 1e-3)), 1.0) * masking(brdf, max(cos_view, 1e-4)));
     }
     var tangent = view - normal * cos_view;
     if (dot(tangent, tangent) < 1e-12) {
@@ -114,6 +114,6 @@ fn mirror_ray(brdf: Brdf, normal: vec3f, view: vec3f) -> MirrorRay {
     if (between <= 0.0 || cos_light <= 0.0) {
         return MirrorRay(light, 0.0);
     }
-    let passes = fresnel(between) * masking(brdf, max(cos_light, 1e-4));
+    let passes = min(brdf.strength * fresnel(between), 1.0) * masking(brdf, max(cos_light, 1e-4));
     return MirrorRay(light, passes * between / local.z * f32(HALF_VECTORS) / max(total, 1e-6));
 }

@@ -49,6 +49,8 @@ struct ShadowMaps {
 @group(2) @binding(6) var<storage, read> lobes: array<Lobe>;
 @group(2) @binding(7) var<storage, read> soft_visibility: array<u32>;
 @group(2) @binding(8) var<uniform> shadows: ShadowMaps;
+/// Roughness and strength as multiples of the main lobe's.
+@group(2) @binding(11) var gloss_texture: texture_2d<f32>;
 @group(3) @binding(0) var visible: texture_2d<u32>;
 @group(3) @binding(1) var coverage: texture_2d<f32>;
 @group(3) @binding(2) var picture: texture_storage_2d<rgba16float, write>;
@@ -164,8 +166,7 @@ var<private> lamp_words: array<vec4f, 8>;
 var<private> soft: array<vec4f, 6>;
 var<private> mapped: vec4f;
 
-fn add_lobes(surface: Surface, terms: ViewTerms, range: vec2u, weight: f32) -> Shade {
-    let brdf = brdf_of_frame();
+fn add_lobes(surface: Surface, brdf: Brdf, terms: ViewTerms, range: vec2u, weight: f32) -> Shade {
     var sum = Shade(vec3f(0.0), vec3f(0.0));
     for (var i = range.x; i < range.y; i++) {
         let light = lobes[i];
@@ -257,7 +258,7 @@ fn mirrored(brdf: Brdf, triangle: Triangle, surface: Surface, view: vec3f) -> ve
         radiance = textureSampleLevel(albedo_texture, linear_sampler, there.uv, 0.0).rgb
             * (textureSampleLevel(irradiance_texture, linear_sampler, there.light_uv, 0.0).rgb + frame.ambient);
     }
-    return radiance * (ray.weight * diffuse_exit(brdf, cosine));
+    return radiance * (ray.weight * diffuse_exit(brdf_of_frame(), cosine));
 }
 
 /// What a lamp's shadow mode shows.
@@ -300,16 +301,19 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
     if (frame.mode == SHADOW) {
         return vec3f(shown_visibility());
     }
-    let brdf = brdf_of_frame();
+    let gloss = textureSampleLevel(gloss_texture, linear_sampler, surface.uv, 0.0).rg;
+    let brdf = Brdf(frame.model, frame.sigma * gloss.x, gloss.y);
     let view = normalize(eye() - surface.position);
     let terms = view_terms(brdf, surface.normal, view);
     soft = soft_at(triangle, weights);
-    var sum = add_lobes(surface, terms, frame.always, 1.0);
+    var sum = add_lobes(surface, brdf, terms, frame.always, 1.0);
     if (frame.window.y > frame.window.x) {
-        let more = add_lobes(surface, terms, frame.window, frame.window_weight);
+        let more = add_lobes(surface, brdf, terms, frame.window, frame.window_weight);
         sum.specular += more.specular;
         sum.irradiance += more.irradiance;
     }
+    // A lobe of the same strength is lower the wider it is.
+    sum.specular *= gloss.y / (gloss.x * gloss.x);
     let baked = textureSampleLevel(irradiance_texture, linear_sampler, surface.light_uv, 0.0).rgb;
     let irradiance = baked + sum.irradiance + frame.ambient;
     if (frame.mode == IRRADIANCE) {

@@ -957,6 +957,7 @@ fn take_picture(shot: &Shot, prepared: &Prepared, closing: &AtomicBool) -> relig
                 mesh: &capture.mesh,
                 occluder: &prepared.occluder,
                 brdf: Some(*brdf),
+                gloss: None,
                 surroundings: None,
             };
             let diffuse = Diffuse::Stored(&texture.atlas, &texture.radiance);
@@ -990,6 +991,7 @@ fn take_solved(
         mesh: &solution.mesh,
         occluder: &prepared.occluder,
         brdf: solution.brdf,
+        gloss: solution.gloss_map(),
         surroundings: interreflection.map(|interreflection| Surroundings {
             interreflection,
             atlas,

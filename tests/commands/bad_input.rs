@@ -241,8 +241,8 @@ fn solutions_and_edits() {
 
     let path = bench.path("solution/solution.json");
     let text = fs::read_to_string(&path).unwrap();
-    fs::write(&path, text.replace("\"version\": 1", "\"version\": 2")).unwrap();
-    bench.refuses(&render("solution"), &["newer rekindle (version 2"]);
+    fs::write(&path, text.replace("\"version\": 1", "\"version\": 9")).unwrap();
+    bench.refuses(&render("solution"), &["newer rekindle (version 9"]);
     fs::write(&path, &text[..text.len() / 2]).unwrap();
     bench.refuses(
         &render("solution"),

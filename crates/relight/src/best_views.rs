@@ -124,11 +124,7 @@ impl Judge<'_> {
         if self.whole.len() > MOST_GROUPS {
             return Some(worth);
         }
-        let point = ShadingPoint {
-            position: point.position,
-            normal: point.normal,
-            face_normal: point.normal,
-        };
+        let point = ShadingPoint::smooth(point.position, point.normal);
         let direction = to_eye.normalize_or_zero();
         let specular = self.shader.specular(&point, direction, &self.whole);
         Some(worth * certainty(specular, self.typical))

@@ -250,7 +250,8 @@ impl Tracer<'_> {
                     let middle = &covered[covered.len() / 2];
                     let point = scene.mesh.point(middle.triangle, middle.barycentric);
                     let cos_view = point.normal.dot((eye - point.position).normalize_or_zero());
-                    let through = scene.brdf.map_or(1.0, |b| b.diffuse_exit(cos_view));
+                    let gloss = scene.gloss_at(middle.triangle, middle.barycentric);
+                    let through = scene.diffuse_exit(gloss, cos_view);
                     let whole = covered.len() == samples.full()
                         && photograph
                             .coverage

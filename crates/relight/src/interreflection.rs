@@ -412,11 +412,7 @@ impl Lattice {
             .positions
             .iter()
             .zip(&mesh.normals)
-            .map(|(&position, &normal)| ShadingPoint {
-                position,
-                normal,
-                face_normal: normal,
-            })
+            .map(|(&position, &normal)| ShadingPoint::smooth(position, normal))
             .collect();
         let inside: Vec<Vec<ShadingPoint>> = (0..mesh.triangles.len() as u32)
             .into_par_iter()

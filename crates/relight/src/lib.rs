@@ -42,7 +42,7 @@ pub use irradiance::texel_irradiance;
 pub use lighting::{LampNodes, LightNode, Lighting, ProbeUnits};
 pub use measure::psnr;
 pub use reflection::Surroundings;
-pub use render::{Band, Diffuse, Picture, Scene, Stop, render, render_bands};
+pub use render::{Band, Diffuse, GlossMap, Picture, Scene, Stop, render, render_bands};
 pub use samples::{Sample, Samples};
 pub use shading::{Shade, Shader, ShadingPoint, Visibility};
 pub use triangle_shares::TriangleShares;

@@ -49,7 +49,7 @@ impl Lobe {
                 let cos = (i as f32 / (TABLE - 1) as f32).max(1e-3);
                 let view = Vec3::new((1.0 - cos * cos).max(0.0).sqrt(), 0.0, cos);
                 let (mut sum, mut total) = (0.0, 0.0);
-                lobe.each(Vec3::Z, view, |_, weight, passes| {
+                lobe.each(1.0, Vec3::Z, view, |_, weight, passes| {
                     sum += weight * passes;
                     total += weight;
                 });
@@ -67,14 +67,17 @@ impl Lobe {
         self.reflectance[low] * (1.0 - t) + self.reflectance[low + 1] * t
     }
 
-    /// Calls `add(l, weight, part passed on)` for all mirrored directions l of a view.
-    fn each(&self, normal: Vec3, view: Vec3, mut add: impl FnMut(Vec3, f32, f32)) {
+    /// Calls `add(l, weight, part passed on)` for all mirrored directions l of a view, where the lobe has this multiple of the main
+    /// roughness.
+    fn each(&self, roughness: f32, normal: Vec3, view: Vec3, mut add: impl FnMut(Vec3, f32, f32)) {
         let cos_view = normal.dot(view);
         let tangent = (view - normal * cos_view)
             .try_normalize()
             .unwrap_or_else(|| normal.any_orthonormal_vector());
         let bitangent = normal.cross(tangent);
         for local in &self.half_vectors {
+            let wider = Vec3::new(roughness * local.x, roughness * local.y, local.z);
+            let local = wider.normalize_or(Vec3::Z);
             let half = tangent * local.x + bitangent * local.y + normal * local.z;
             let cos_between = view.dot(half);
             if cos_between <= 0.0 {
@@ -135,14 +138,19 @@ impl Surroundings<'_> {
         let origin = occluder.offset_origin(point.position, point.face_normal);
         let mut rays = [(Vec3::ZERO, 0.0); RAYS];
         let (mut count, mut total) = (0, 0.0);
-        lobe.each(point.normal, view, |light, weight, passes| {
-            let weight = weight * passes;
-            total += weight;
-            if weight > 0.0 && light.dot(point.face_normal) > 0.0 {
-                rays[count] = (light, weight);
-                count += 1;
-            }
-        });
+        lobe.each(
+            point.gloss.roughness,
+            point.normal,
+            view,
+            |light, weight, passes| {
+                let weight = weight * passes;
+                total += weight;
+                if weight > 0.0 && light.dot(point.face_normal) > 0.0 {
+                    rays[count] = (light, weight);
+                    count += 1;
+                }
+            },
+        );
         let mut sum = Vec3::ZERO;
         let rays = rays[..count].iter().map(|ray| (ray, ray.0));
         occluder.each_hit(origin, rays, |&(light, weight), hit| {

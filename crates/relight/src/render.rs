@@ -15,8 +15,8 @@ use super::samples::{Sample, Samples, bands};
 use super::shading::{Shade, Shader, ShadingPoint, Visibility, corners, is_coarse};
 use super::triangle_shares::TriangleShares;
 use rekindle_capture::{Camera, Mesh};
-use rekindle_scene::reflectance::Brdf;
-use rekindle_scene::surface::{Atlas, Occluder};
+use rekindle_scene::reflectance::{Brdf, Gloss};
+use rekindle_scene::surface::{Atlas, GlossTexture, Occluder};
 
 /// Sub-samples along each side of a pixel.
 const FACTOR: u32 = 4;
@@ -38,8 +38,46 @@ pub struct Scene<'a> {
     pub occluder: &'a Occluder,
     /// The surface's reflection, `None` without a specular part.
     pub brdf: Option<Brdf>,
+    /// How the lobe differs from place to place; `None` where it doesn't.
+    pub gloss: Option<GlossMap<'a>>,
     /// The surface as it lights itself, `None` to leave that out.
     pub surroundings: Option<Surroundings<'a>>,
+}
+
+/// The gloss of a surface's places.
+#[derive(Clone, Copy)]
+pub struct GlossMap<'a> {
+    /// Where each triangle lies in the texture.
+    pub atlas: &'a Atlas,
+    /// The gloss of every texel.
+    pub texture: &'a GlossTexture,
+}
+
+impl Scene<'_> {
+    /// The point of a triangle at the weights of its second and third corner, with its gloss.
+    pub fn point(&self, triangle: u32, barycentric: Vec2) -> ShadingPoint {
+        let point = ShadingPoint::on(self.mesh, triangle, barycentric);
+        point.with_gloss(self.gloss_at(triangle, barycentric))
+    }
+
+    /// How the lobe differs from the main one at a point of a triangle.
+    pub fn gloss_at(&self, triangle: u32, barycentric: Vec2) -> Gloss {
+        self.gloss.map_or(Gloss::MAIN, |map| {
+            map.texture.at(map.atlas, triangle, barycentric)
+        })
+    }
+
+    /// How much of the diffusely reflected light passes the surface where it has this gloss, towards a viewer at the cosine
+    /// `cos`, as a ratio to normal exitance.
+    pub fn diffuse_exit(&self, gloss: Gloss, cos: f32) -> f32 {
+        self.brdf.map_or(1.0, |b| b.at(gloss).diffuse_exit(cos))
+    }
+
+    /// Roughness of the narrowest lobe, radians; infinite without any.
+    fn narrowest(&self) -> f32 {
+        let narrowest = self.gloss.map_or(1.0, |map| map.texture.narrowest());
+        self.brdf.map_or(f32::INFINITY, |b| narrowest * b.sigma)
+    }
 }
 
 /// Where a picture's diffuse part comes from.
@@ -461,15 +499,13 @@ impl Tile<'_> {
             self.cast_mirrored(&piece.point)
         };
         let cos_view = piece.point.normal.dot(self.view(&piece.point));
-        mirrored * surroundings.reflectance(cos_view)
+        mirrored * (surroundings.reflectance(cos_view) * piece.point.gloss.strength)
     }
 
     /// Cosine of the largest angle between normals that mirror much the same: the mirrored direction turns by twice that
     /// angle, and the lobe is some 4σ wide.
     fn same_mirror_cos(&self) -> f32 {
-        self.scene
-            .brdf
-            .map_or(1.0, |b| (2.0 * b.sigma).min(0.3).cos())
+        (2.0 * self.scene.narrowest()).min(0.3).cos()
     }
 
     /// Adds the sub-samples of one of a pixel's pieces.
@@ -491,7 +527,7 @@ impl Tile<'_> {
             }
         };
         let cos_view = piece.point.normal.dot(self.view(&piece.point));
-        let through = self.scene.brdf.map_or(1.0, |b| b.diffuse_exit(cos_view));
+        let through = self.scene.diffuse_exit(piece.point.gloss, cos_view);
         let mut sum = Vec3::ZERO;
         for (i, sample) in samples.iter().enumerate() {
             if piece.members >> i & 1 == 1 {
@@ -506,7 +542,7 @@ impl Tile<'_> {
     }
 
     fn point(&self, sample: &Sample) -> ShadingPoint {
-        ShadingPoint::on(self.scene.mesh, sample.triangle, sample.barycentric)
+        self.scene.point(sample.triangle, sample.barycentric)
     }
 
     /// Groups a pixel's samples into smooth pieces, the largest first.
@@ -582,8 +618,9 @@ impl Tile<'_> {
 
     /// Cosine of the largest angle between normals of one piece.
     fn piece_cos(&self) -> f32 {
-        let roughness = self.scene.brdf.map_or(f32::INFINITY, |b| b.sigma);
-        (PIECE_ROUGHNESS * roughness).min(PIECE_ANGLE).cos()
+        (PIECE_ROUGHNESS * self.scene.narrowest())
+            .min(PIECE_ANGLE)
+            .cos()
     }
 
     /// Cuts a pixel's piece into the quarters of the pixel.

@@ -19,7 +19,7 @@ use smallvec::SmallVec;
 use super::lighting::{LampNodes, LightNode, Lighting};
 use super::patches::{self, patches};
 use rekindle_capture::Mesh;
-use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::reflectance::{Brdf, Gloss};
 use rekindle_scene::surface::Occluder;
 
 /// Lobes are cut where they have fallen to this part of their peak.
@@ -55,9 +55,27 @@ pub struct ShadingPoint {
     pub normal: Vec3,
     /// Unit normal of the triangle's plane.
     pub face_normal: Vec3,
+    /// How its lobe differs from the main one.
+    pub gloss: Gloss,
 }
 
 impl ShadingPoint {
+    /// A point of a smooth surface.
+    pub fn smooth(position: Vec3, normal: Vec3) -> Self {
+        Self {
+            position,
+            normal,
+            face_normal: normal,
+            gloss: Gloss::MAIN,
+        }
+    }
+
+    /// The same with another gloss.
+    #[must_use]
+    pub fn with_gloss(self, gloss: Gloss) -> Self {
+        Self { gloss, ..self }
+    }
+
     /// The point of a triangle at the weights of its second and third corner.
     pub fn on(mesh: &Mesh, triangle: u32, barycentric: Vec2) -> Self {
         let point = mesh.point(triangle, barycentric);
@@ -70,6 +88,7 @@ impl ShadingPoint {
             } else {
                 face_normal
             },
+            gloss: Gloss::MAIN,
         }
     }
 }
@@ -432,15 +451,28 @@ impl<'a> Shader<'a> {
         let group = &self.groups[group];
         let (axis, falloff, _) = group.towards(group.axis, point.position);
         let reach = group.reach_from(falloff);
-        self.brdf.is_some() && self.support.holds(axis, reach, point.normal, view)
+        self.brdf.is_some_and(|brdf| {
+            let support = self.support_at(brdf, point);
+            support.holds(axis, reach, point.normal, view)
+        })
     }
 
     /// Whether a lobe towards the unit direction `view` shows how a group's light is spread, and not only how much there is.
     pub fn is_resolved(&self, group: usize, point: &ShadingPoint, view: Vec3) -> bool {
         let group = &self.groups[group];
         let (axis, falloff, _) = group.towards(group.axis, point.position);
-        self.brdf
-            .is_some_and(|brdf| resolves(brdf, group.reach_from(falloff), axis, view))
+        self.brdf.is_some_and(|brdf| {
+            resolves(brdf.at(point.gloss), group.reach_from(falloff), axis, view)
+        })
+    }
+
+    /// Where the lobe of a point has not been cut yet.
+    fn support_at(&self, brdf: Brdf, point: &ShadingPoint) -> Support {
+        if point.gloss.roughness == 1.0 {
+            self.support
+        } else {
+            Support::new(Some(brdf.at(point.gloss)))
+        }
     }
 
     /// Casts a ray to each of some nodes of a group and says for its place in the list whether it is blocked; not of those
@@ -648,9 +680,11 @@ impl<'a> Shader<'a> {
     /// Specular radiance at a point seen from the unit direction `view`, given its visibilities.
     pub fn specular(&self, point: &ShadingPoint, view: Vec3, visibility: &[Visibility]) -> Vec3 {
         let mut specular = Vec3::ZERO;
-        let Some(brdf) = self.brdf else {
+        let Some(main) = self.brdf.filter(|_| point.gloss.strength > 0.0) else {
             return specular;
         };
+        let brdf = main.at(point.gloss);
+        let support = self.support_at(main, point);
         let terms = brdf.view_terms(point.normal, view);
         for (group, seen) in self.groups.iter().zip(visibility) {
             if matches!(seen, Visibility::Below | Visibility::Hidden) {
@@ -658,7 +692,7 @@ impl<'a> Shader<'a> {
             }
             let (axis, falloff, _) = group.towards(group.axis, point.position);
             let reach = group.reach_from(falloff);
-            if self.support.holds(axis, reach, point.normal, view) {
+            if support.holds(axis, reach, point.normal, view) {
                 let resolved = resolves(brdf, reach, axis, view);
                 let nodes = group.standing_for(point, seen, resolved);
                 Self::each_seen(group, nodes, point, seen, |l, flux| {
@@ -666,7 +700,7 @@ impl<'a> Shader<'a> {
                 });
             }
         }
-        specular
+        specular * point.gloss.height()
     }
 
     /// Irradiance at a point, given its visibilities.

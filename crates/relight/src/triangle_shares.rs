@@ -61,11 +61,7 @@ impl TriangleShares {
             .into_par_iter()
             .map(|v| {
                 let normal = mesh.normals[v];
-                let point = ShadingPoint {
-                    position: mesh.positions[v],
-                    normal,
-                    face_normal: normal,
-                };
+                let point = ShadingPoint::smooth(mesh.positions[v], normal);
                 if needed[v] {
                     shares(&point)
                 } else {

@@ -393,11 +393,7 @@ fn at_vertices(surface: &Surface, shader: &Shader) -> (Vec<u8>, Vec<Vec3>) {
     let found: Vec<(Vec<u8>, Vec3)> = (0..mesh.positions.len())
         .into_par_iter()
         .map(|v| {
-            let point = ShadingPoint {
-                position: mesh.positions[v],
-                normal: mesh.normals[v],
-                face_normal: mesh.normals[v],
-            };
+            let point = ShadingPoint::smooth(mesh.positions[v], mesh.normals[v]);
             let seen: Vec<Visibility> = (0..groups)
                 .map(|group| shader.cast(&point, group))
                 .collect();

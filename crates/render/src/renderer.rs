@@ -26,6 +26,7 @@ use super::visible::VisiblePass;
 use rekindle_capture::Camera;
 use rekindle_relight::{Lighting, Shader, ShadingPoint};
 use rekindle_scene::reflectance::SpecularModel;
+use rekindle_scene::surface::GlossTexture;
 
 /// Baked parts of the light that are kept although the lighting has them no more: for undo, and to compare looks.
 const SPARE_LAYERS: usize = 16;
@@ -880,7 +881,8 @@ impl Loaded {
             }
         }
         let limit = gpu.device().limits().max_storage_buffer_binding_size;
-        let sigma = solution.brdf.map(|b| b.sigma);
+        let narrowest = solution.gloss.as_ref().map_or(1.0, GlossTexture::narrowest);
+        let sigma = solution.brdf.map(|b| narrowest * b.sigma);
         let lists = Lists::new(&lit, sigma, surface.unit, &surface.openness, limit);
         Light {
             stored: self.lighting == surface.original,
@@ -895,11 +897,7 @@ impl Loaded {
     /// Irradiance by an ambient part, anywhere.
     fn ambient_irradiance(&self, shape: &Lighting) -> Vec3 {
         let shader = Shader::new(&self.surface.occluder, self.surface.solution.brdf, shape);
-        let anywhere = ShadingPoint {
-            position: self.surface.centre,
-            normal: Vec3::Y,
-            face_normal: Vec3::Y,
-        };
+        let anywhere = ShadingPoint::smooth(self.surface.centre, Vec3::Y);
         shader.irradiance(&anywhere, &[])
     }
 }

@@ -120,6 +120,7 @@ impl ShadePass {
                 shader::bind_buffer(8, scene.shadows),
                 shader::bind_buffer(9, &scene.surface.walk),
                 shader::bind_buffer(10, &scene.surface.walk_triangles),
+                shader::bind_texture(11, &scene.surface.gloss),
             ],
         })
     }
@@ -162,7 +163,7 @@ impl ShadePass {
     }
 }
 
-fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 11] {
+fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 12] {
     let texture = |binding, sample_type, view_dimension| wgpu::BindGroupLayoutEntry {
         binding,
         visibility: shader::STAGES,
@@ -193,5 +194,6 @@ fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 11] {
         shader::uniform(8),
         shader::storage(9),
         shader::storage(10),
+        texture(11, colour, flat),
     ]
 }

@@ -13,6 +13,7 @@ use super::shader;
 use rekindle_base::math::GOLDEN_ANGLE;
 use rekindle_capture::Mesh;
 use rekindle_relight::{Interreflection, Lighting, Scene};
+use rekindle_scene::reflectance::Gloss;
 use rekindle_scene::surface::{Atlas, Occluder};
 use rekindle_solution::Solution;
 
@@ -88,6 +89,8 @@ pub(super) struct SurfaceBuffers {
     /// Stored diffuse radiance and, as alpha, its confidence.
     pub diffuse: wgpu::TextureView,
     pub albedo: wgpu::TextureView,
+    /// Roughness and strength as multiples of the main lobe's; of one texel where there is one lobe for all.
+    pub gloss: wgpu::TextureView,
 }
 
 /// Where shaders find the vertices and triangles.
@@ -165,6 +168,7 @@ impl Surface {
             mesh: &self.solution.mesh,
             occluder: &self.occluder,
             brdf: self.solution.brdf,
+            gloss: self.solution.gloss_map(),
             surroundings: None,
         }
     }
@@ -271,8 +275,21 @@ impl Surface {
                     self.albedo_unit,
                     &|_| 1.0,
                 ),
+                gloss: self.upload_gloss(gpu, size),
             }
         })
+    }
+
+    /// Copies the gloss of all texels to the device.
+    fn upload_gloss(&self, gpu: &Gpu, size: [u32; 2]) -> wgpu::TextureView {
+        let of = |gloss: &Gloss| [gloss.roughness, gloss.strength, 0.0];
+        match &self.solution.gloss {
+            Some(gloss) => {
+                let texels: Vec<[f32; 3]> = gloss.texels().iter().map(of).collect();
+                upload_texture(gpu, "gloss", size, &texels, 1.0, &|_| 1.0)
+            }
+            None => upload_texture(gpu, "gloss", [1, 1], &[of(&Gloss::MAIN)], 1.0, &|_| 1.0),
+        }
     }
 
     /// The hierarchy of the triangles, if the surface is known to mirror itself and how strongly.

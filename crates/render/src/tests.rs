@@ -14,9 +14,9 @@ use rekindle_relight::{
     texel_irradiance,
 };
 use rekindle_scene::hemisphere::{HemisphereGrid, srgb};
-use rekindle_scene::reflectance::{Brdf, SpecularModel};
+use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
 use rekindle_scene::surface::fixtures::{bumpy_sphere, camera};
-use rekindle_scene::surface::{Atlas, Occluder};
+use rekindle_scene::surface::{Atlas, GlossTexture, Occluder};
 use rekindle_solution::{Fit, Skipped, Solution, SolutionLamp};
 
 const PAPER: Brdf = Brdf::new(SpecularModel::Paper, 0.12);
@@ -94,6 +94,7 @@ fn solved(brdf: Option<Brdf>, radius: Option<f32>) -> Solution {
         albedo,
         mesh,
         atlas,
+        gloss: None,
         pictures: Vec::new(),
     };
     solution.diffuse = lit_texture(&solution);
@@ -109,6 +110,7 @@ fn lit_texture(solution: &Solution) -> Vec<[f32; 3]> {
         mesh,
         occluder: &occluder,
         brdf: solution.brdf,
+        gloss: None,
         surroundings: None,
     };
     let triangles = TriangleShares::new(mesh, &solution.atlas, &shader);
@@ -296,6 +298,45 @@ fn settled_pictures_are_the_reference_renderers() {
             }
             request.mode = Mode::Beauty;
         }
+    }
+}
+
+/// Patches of three roughnesses and strengths over the surface.
+fn patched(brdf: Brdf) -> Solution {
+    let mut solution = solved(Some(brdf), None);
+    let atlas = &solution.atlas;
+    let mut texels = vec![Gloss::MAIN; atlas.len()];
+    for t in &atlas.texels {
+        let height = solution.mesh.point(t.triangle, t.barycentric).position.y;
+        let gloss = |roughness, strength| Gloss {
+            roughness,
+            strength,
+        };
+        texels[t.index as usize] = match height {
+            h if h > 0.6 => gloss(0.5, 1.3),
+            h if h > 0.2 => gloss(1.0, 0.0),
+            _ => gloss(1.5, 0.8),
+        };
+    }
+    solution.gloss = Some(GlossTexture::new(texels));
+    solution
+}
+
+#[test]
+fn parts_of_other_gloss_are_the_reference_renderers() {
+    for brdf in [PAPER, GGX, PLASTIC] {
+        let solution = patched(brdf);
+        let lighting = solution.lighting();
+        let [beauty, _, specular] = reference(&solution, &lighting, &view(128));
+        let uniform = solved(Some(brdf), None);
+        let [_, _, of_one] = reference(&uniform, &lighting, &view(128));
+        let (mut renderer, _) = renderer(solution);
+        let mut frame = request(view(128));
+        assert_close(&settled(&mut renderer, &frame), &beauty, 40.0, "beauty");
+        frame.mode = Mode::Specular;
+        let found = settled(&mut renderer, &frame);
+        assert_close(&found, &specular, 36.0, "specular");
+        assert!(psnr(&found, &of_one) < 30.0, "as if one gloss were all");
     }
 }
 

@@ -71,6 +71,27 @@ impl Gloss {
         strength: 1.0,
     };
 
+    /// Weighted mean of some: of the strengths, and of the roughnesses' logarithms weighted by strength too.
+    pub fn mean(glosses: impl IntoIterator<Item = (Self, f32)>) -> Self {
+        let (mut weights, mut strength, mut log_roughness) = (0.0, 0.0, 0.0);
+        for (gloss, weight) in glosses {
+            weights += weight;
+            strength += weight * gloss.strength;
+            log_roughness += weight * gloss.strength * gloss.roughness.ln();
+        }
+        if weights <= 0.0 {
+            return Self::MAIN;
+        }
+        Self {
+            roughness: if strength > 0.0 {
+                (log_roughness / strength).exp()
+            } else {
+                1.0
+            },
+            strength: strength / weights,
+        }
+    }
+
     /// Peak of the lobe as a multiple of the main one's: a lobe of the same strength is lower the wider it is.
     #[inline(always)]
     pub fn height(self) -> f32 {
@@ -113,6 +134,7 @@ impl Brdf {
 
     /// The lobe of a part with another gloss, where this is the main one.
     #[inline(always)]
+    #[must_use]
     pub fn at(&self, gloss: Gloss) -> Self {
         Self {
             model: self.model,

@@ -9,8 +9,10 @@ use rekindle_scene::shortcuts::LeftOut;
 
 /// What `format` says.
 pub(super) const FORMAT: &str = "rekindle-solution";
-/// The version written, and the newest that can be read.
-pub(super) const VERSION: u32 = 1;
+/// The newest version that can be read, written where parts of the surface differ in gloss …
+pub(super) const VERSION: u32 = 2;
+/// … and the one written where they don't, which older programs read too.
+pub(super) const VERSION_OF_ONE_GLOSS: u32 = 1;
 
 /// Read before everything else, so that a newer file is recognised whatever else it holds.
 #[derive(Deserialize)]
@@ -48,6 +50,9 @@ pub(super) struct Manifest {
     pub(super) corrections: Vec<Correction>,
     pub(super) sigma: Option<f32>,
     pub(super) sigma_interval95: Option<[f32; 2]>,
+    /// Whether there are textures of the gloss.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(super) gloss_textures: bool,
     pub(super) hemisphere: Hemisphere,
     pub(super) lights: Vec<Light>,
     /// Radiance from every direction alike, RGB, K_S-scaled.

@@ -8,6 +8,7 @@
 //! | `hemispheres/*.exr` | initial hemisphere and those of single views, seen from above |
 //! | `cameras.json` | from where the photographs were taken, as a `transforms.json` without photographs |
 //! | `mesh.ply`, `mesh.obj` | the surface with texture coordinates |
+//! | `roughness.exr`, `specular_strength.exr` | where parts differ in gloss: σ in radians, and strength as a multiple of the main lobe's |
 //! | `diffuse.exr`, `albedo.exr`, `confidence.exr` | textures: diffuse radiance, pseudo-albedo, how far each texel is known |
 //!
 //! ```no_run
@@ -48,16 +49,19 @@ use std::time::Instant;
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use format::{FORMAT, Head, Hemisphere, Light, Listed, Manifest, Nodes, Texture, VERSION};
+use format::{
+    FORMAT, Head, Hemisphere, Light, Listed, Manifest, Nodes, Texture, VERSION,
+    VERSION_OF_ONE_GLOSS,
+};
 use rekindle_base::files;
 use rekindle_base::staging::{DestinationError, Owned, Staging, cannot_write, check_owned};
 use rekindle_capture::{Camera, Mesh, read_cameras, transforms};
 use rekindle_estimate::estimate::{Diagnostics, Iteration, Method};
 use rekindle_estimate::registration::Correction;
-use rekindle_relight::{LampNodes, LightNode, Lighting};
+use rekindle_relight::{GlossMap, LampNodes, LightNode, Lighting};
 use rekindle_scene::hemisphere::{HemisphereGrid, Picture, lat_long};
-use rekindle_scene::reflectance::{Brdf, SpecularModel};
-use rekindle_scene::surface::Atlas;
+use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
+use rekindle_scene::surface::{Atlas, GlossTexture};
 
 /// Rows of the lat-long picture: a node is some three pixels tall at frequency 70.
 const LATLONG_ROWS: u32 = 512;
@@ -65,8 +69,13 @@ const LATLONG_ROWS: u32 = 512;
 const MANIFEST: &str = "solution.json";
 /// Folder of pictures of hemispheres in a solution.
 const HEMISPHERES: &str = "hemispheres";
+/// Roughness σ of each texel, radians, and what it reflects as a multiple of the main lobe's; only where parts differ.
+const ROUGHNESS: &str = "roughness.exr";
+const STRENGTH: &str = "specular_strength.exr";
 /// First line of the mesh as OBJ.
 const OBJ_HEAD: &str = "# written by rekindle; texture diffuse.exr\n";
+/// Least roughness of a texel as a multiple of the main one's, and one over the largest: what files say beyond is a mistake.
+const MIN_GLOSS_ROUGHNESS: f32 = 0.01;
 /// Lit nodes outside all lamps that are kept apart.
 const MAX_STRAYS: usize = 24;
 /// Nodes outside all lamps that together have no more than this part of the flux, the weakest, are left dark: their
@@ -143,6 +152,8 @@ pub struct Solution {
     pub albedo: Vec<[f32; 3]>,
     /// How far each texel is known, 0 to 1.
     pub confidence: Vec<f32>,
+    /// How the lobe of each texel differs from `brdf`; `None` where one is all.
+    pub gloss: Option<GlossTexture>,
     /// Initial and partial hemispheres; written, not read back.
     pub pictures: Vec<HemispherePicture>,
 }
@@ -157,6 +168,12 @@ impl Solution {
             self.ambient,
             self.brdf,
         )
+    }
+
+    /// How the lobe differs from place to place, where it does.
+    pub fn gloss_map(&self) -> Option<GlossMap<'_>> {
+        let atlas = &self.atlas;
+        (self.gloss.as_ref()).map(|texture| GlossMap { atlas, texture })
     }
 
     /// What `solution.json` says.
@@ -226,6 +243,16 @@ impl Solution {
             Box::new(|| write_rgb(&folder.join("albedo.exr"), width, &self.albedo)),
             Box::new(|| {
                 exr_file::write_gray(&folder.join("confidence.exr"), width, &self.confidence)
+            }),
+            Box::new(|| {
+                let Some((gloss, brdf)) = self.gloss.as_ref().zip(self.brdf) else {
+                    return Ok(());
+                };
+                let texels = gloss.texels().iter();
+                let sigma: Vec<f32> = texels.clone().map(|g| brdf.at(*g).sigma).collect();
+                let strength: Vec<f32> = texels.map(|g| g.strength).collect();
+                exr_file::write_gray(&folder.join(ROUGHNESS), width, &sigma)?;
+                exr_file::write_gray(&folder.join(STRENGTH), width, &strength)
             }),
             Box::new(|| write_obj(&folder.join("mesh.obj"), OBJ_HEAD, &self.mesh, &uvs)),
             Box::new(|| mesh_file::write_ply(&folder.join("mesh.ply"), &self.mesh, &uvs)),
@@ -312,7 +339,11 @@ impl Solution {
         let views = self.fit.psnr_db_per_view.iter();
         Manifest {
             format: FORMAT.to_owned(),
-            version: VERSION,
+            version: if self.gloss.is_some() {
+                VERSION
+            } else {
+                VERSION_OF_ONE_GLOSS
+            },
             files: Vec::new(),
             name: self.name.clone(),
             origin: self.origin.clone(),
@@ -322,6 +353,7 @@ impl Solution {
             corrections: self.corrections.clone(),
             sigma: self.brdf.map(|b| b.sigma),
             sigma_interval95: self.sigma_interval95,
+            gloss_textures: self.gloss.is_some(),
             hemisphere: Hemisphere {
                 frequency: self.grid.frequency,
                 nodes: self.grid.directions.len(),
@@ -394,6 +426,21 @@ impl Solution {
             },
         );
         let mesh = mesh.map_err(|what| damaged("mesh.ply", what))?;
+        let gray = |name: &str| {
+            exr_file::read_gray(&folder.join(name), width, height)
+                .map_err(|what| damaged(name, what))
+        };
+        let gloss = match manifest.sigma.filter(|_| manifest.gloss_textures) {
+            Some(sigma) => {
+                let texels = gray(ROUGHNESS)?.into_iter().zip(gray(STRENGTH)?);
+                let gloss = |(own, strength): (f32, f32)| Gloss {
+                    roughness: (own / sigma).clamp(MIN_GLOSS_ROUGHNESS, 1.0 / MIN_GLOSS_ROUGHNESS),
+                    strength: strength.max(0.0),
+                };
+                Some(GlossTexture::new(texels.map(gloss).collect()))
+            }
+            None => None,
+        };
         let origin = mesh.mesh.origin;
         grid.centre = (DVec3::from(manifest.hemisphere.centre) - origin).as_vec3();
         let cameras = read_stored_cameras(&folder.join("cameras.json"), origin);
@@ -449,6 +496,7 @@ impl Solution {
             atlas: Atlas::from_corners(width, height, corner_uvs, manifest.texture.own_uvs),
             diffuse: diffuse?,
             albedo: albedo?,
+            gloss,
             confidence: confidence.map_err(|what| damaged("confidence.exr", what))?,
             pictures: Vec::new(),
         })
@@ -830,6 +878,7 @@ mod tests {
             diffuse: (0..16).map(|i| [i as f32 * 0.1; 3]).collect(),
             albedo: (0..16).map(|i| [i as f32 * 0.2; 3]).collect(),
             confidence: (0..16).map(|i| i as f32 / 16.0).collect(),
+            gloss: None,
             pictures: Vec::new(),
         }
     }
@@ -949,6 +998,33 @@ mod tests {
             pictures: vec![picture("initial"), picture("partial_000")],
             ..example()
         }
+    }
+
+    #[test]
+    fn parts_of_other_gloss_are_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("solution");
+        let mut solution = example();
+        let gloss = |k: usize| Gloss {
+            roughness: 0.5 + k as f32 / 7.0,
+            strength: [1.0, 0.0, 1.25][k % 3],
+        };
+        let texels = (0..solution.atlas.len()).map(gloss).collect();
+        solution.gloss = Some(GlossTexture::new(texels));
+        solution.save(&path).unwrap();
+        let found = Solution::load(&path).unwrap().gloss.unwrap();
+        for (k, found) in found.texels().iter().enumerate() {
+            assert!((found.roughness / gloss(k).roughness - 1.0).abs() < 1e-5);
+            assert_eq!(found.strength, gloss(k).strength);
+        }
+        fs::remove_file(path.join(STRENGTH)).unwrap();
+        let error = Solution::load(&path).err().unwrap().to_string();
+        assert!(error.contains(STRENGTH), "{error}");
+        // With one gloss for all, older programs can read it.
+        let one = folder.path().join("one");
+        example().save(&one).unwrap();
+        let text = fs::read_to_string(one.join(MANIFEST)).unwrap();
+        assert!(text.contains("\"version\": 1,"), "{text}");
     }
 
     #[test]

@@ -17,8 +17,8 @@ use rekindle_estimate::estimate::{
 use rekindle_estimate::preflight::misplacements;
 use rekindle_estimate::registration::{Correction, corrected, describe, register, within_outlines};
 use rekindle_relight::{
-    Albedo, DiffuseTexture, Interreflection, Lighting, Scene, Shader, Surroundings, TriangleShares,
-    ViewFit, reconstruct, separate,
+    Albedo, DiffuseTexture, GlossMap, Interreflection, Lighting, Scene, Shader, Surroundings,
+    TriangleShares, ViewFit, reconstruct, separate,
 };
 use rekindle_scene::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
@@ -26,7 +26,7 @@ use rekindle_scene::hemisphere::{
 use rekindle_scene::reflectance::Brdf;
 use rekindle_scene::shortcuts::Shortcuts;
 use rekindle_scene::surface::{
-    Atlas, MinimumTexture, Occluder, ViewSurface, minimum_texture, wanted_density,
+    Atlas, GlossTexture, MinimumTexture, Occluder, ViewSurface, minimum_texture, wanted_density,
 };
 
 /// Texels per pixel, along each side, where a view shows the surface largest.
@@ -162,8 +162,9 @@ pub fn solve(
         views: &capture.views,
         shortcuts: &shortcuts,
     };
-    let (mut texture, albedo) =
-        textures(sight, found.brdf, &light, &minimum, &mut clock, observer)?;
+    let gloss = gloss(&found, mesh, &measured.atlas, &minimum);
+    let lobe = (found.brdf, gloss.as_ref());
+    let (mut texture, albedo) = textures(sight, lobe, &light, &minimum, &mut clock, observer)?;
     let atlas = measured.atlas;
 
     let mut skipped = skipped(&found, &corrections);
@@ -207,8 +208,25 @@ pub fn solve(
         diffuse: rounded(texture.radiance),
         albedo: rounded(albedo.albedo),
         confidence: texture.confidence,
+        gloss,
         pictures,
     })
+}
+
+/// The gloss of every texel, where parts of the surface differ.
+fn gloss(
+    found: &Estimate,
+    mesh: &Mesh,
+    atlas: &Atlas,
+    minimum: &MinimumTexture,
+) -> Option<GlossTexture> {
+    let parts = found.parts.as_ref()?;
+    Some(GlossTexture::of_parts(
+        parts,
+        mesh,
+        atlas,
+        &minimum.radiance,
+    ))
 }
 
 /// What textures are made of.
@@ -224,7 +242,7 @@ struct Sight<'a> {
 /// The diffuse texture and the pseudo-albedo of what the views see, under the light that was found.
 fn textures(
     sight: Sight<'_>,
-    brdf: Option<Brdf>,
+    (brdf, gloss): (Option<Brdf>, Option<&GlossTexture>),
     light: &Lighting,
     minimum: &MinimumTexture,
     clock: &mut Clock,
@@ -249,6 +267,7 @@ fn textures(
             mesh,
             occluder,
             brdf,
+            gloss: gloss.map(|texture| GlossMap { atlas, texture }),
             surroundings: interreflection
                 .as_ref()
                 .map(|interreflection| Surroundings {

@@ -60,6 +60,7 @@ pub fn solution() -> Arc<Solution> {
         mesh: &mesh,
         occluder: &occluder,
         brdf,
+        gloss: None,
         surroundings: None,
     };
     let mut albedo = vec![[0.0; 3]; atlas.len()];
@@ -97,6 +98,7 @@ pub fn solution() -> Arc<Solution> {
         atlas,
         diffuse,
         albedo,
+        gloss: None,
         pictures: Vec::new(),
     })
 }

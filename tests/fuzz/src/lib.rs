@@ -174,6 +174,7 @@ pub fn solution() -> Solution {
         diffuse: vec![[0.1; 3]; 16],
         albedo: vec![[0.2; 3]; 16],
         confidence: vec![1.0; 16],
+        gloss: None,
         pictures: Vec::new(),
     }
 }

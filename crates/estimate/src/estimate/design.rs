@@ -178,7 +178,12 @@ impl Design<'_> {
                 let (own, others) = rest.split_at(point.rows.len() * width);
                 let first = compact.len();
                 columns.pick(own, &mut compact);
-                let kept = self.eliminate(&lobes[point.gloss].brdf(), weights, point, &mut compact[first..]);
+                let kept = self.eliminate(
+                    &lobes[point.gloss].brdf(),
+                    weights,
+                    point,
+                    &mut compact[first..],
+                );
                 compact.truncate(first + kept * m);
                 rest = others;
             }

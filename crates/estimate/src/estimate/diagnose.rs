@@ -8,6 +8,23 @@ use super::state::State;
 use super::suspects::{Suspect, Suspicion, determines_roughness};
 use super::weights::median;
 use rekindle_capture::{Capture, View};
+use rekindle_scene::reflectance::Gloss;
+use rekindle_scene::surface::GlossParts;
+
+/// What parts of the surface differ in gloss, to follow the reason for a lobe.
+pub fn parts(parts: &GlossParts, sigma: f32) -> String {
+    let named = |(k, gloss): (usize, &Gloss)| {
+        let share = 100.0 * parts.share(k);
+        if gloss.strength > 0.0 {
+            let (own, strength) = (sigma * gloss.roughness, gloss.strength);
+            format!("σ {own:.4} and {strength:.2} times the strength on {share:.0} %")
+        } else {
+            format!("none on {share:.0} %")
+        }
+    };
+    let named: Vec<String> = parts.glosses.iter().enumerate().map(named).collect();
+    format!("; the gloss differs: {} of the surface", named.join(", "))
+}
 
 /// Fewer surface points seen by two views than this are no basis for an estimate.
 const FEWEST_POINTS: usize = 60;

@@ -126,7 +126,9 @@ fn excess(state: &State<'_>, views: usize) -> Option<(Vec<f64>, Vec<f64>, f64)> 
 fn columns(state: &State<'_>, point: &Point) -> Vec<(usize, Vec<[f32; 3]>)> {
     let rows: &[Row] = &state.design.observations.rows[point.rows.clone()];
     let weights = &state.weights[point.rows.clone()];
-    let brdf = state.brdf.at(state.design.observations.glosses[point.gloss]);
+    let brdf = state
+        .brdf
+        .at(state.design.observations.glosses[point.gloss]);
     let share = transmitted_share(&brdf, rows.iter().map(|r| r.cos_view), weights);
     (0..rows.len())
         .map(|own| {

@@ -77,7 +77,7 @@ const DARK_SHARE: f32 = 2e-4;
 const MARGIN: usize = 2;
 
 /// Rounds in which glosses and lights take turns.
-const GLOSS_ROUNDS: usize = 2;
+const GLOSS_ROUNDS: usize = 3;
 
 /// A lobe below this share of its peak says nothing worth a row.
 const LEAST_LOBE: f32 = 0.02;
@@ -322,7 +322,7 @@ impl Solver<'_> {
         watch: &mut Watch<'_>,
     ) -> Result<Fit, Stopped> {
         let found = if rounds > 0 {
-            self.gloss_parts(&state)?
+            self.gloss_parts(&state)
         } else {
             None
         };

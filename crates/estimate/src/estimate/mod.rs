@@ -423,6 +423,9 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, fit: Fit, suspicion: Optio
     result.sigma_interval95 = Some(interval.map(|end| end.max(0.0)));
     result.brdf = Some(fit.brdf);
     result.radiance = fit.nodes;
+    if let Some(parts) = &fit.parts {
+        result.chosen_because += &diagnose::parts(parts, sigma);
+    }
     result.parts = fit.parts;
 }
 

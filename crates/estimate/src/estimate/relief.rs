@@ -639,6 +639,7 @@ mod tests {
             position: Vec3::ZERO,
             normal: normal(&relief),
             on,
+            gloss: 0,
             rows: 0..0,
         };
         let (t1, t2) = point.normal.any_orthonormal_pair();

@@ -18,6 +18,7 @@ use super::visibility::SeenCells;
 use super::*;
 use rekindle_capture::read_radiance;
 use rekindle_scene::hemisphere::{Lamp, find_lamps};
+use rekindle_scene::reflectance::Gloss;
 
 static NEVER: AtomicBool = AtomicBool::new(false);
 static WORKSPACE: Workspace = Workspace::new();
@@ -333,8 +334,11 @@ fn bare_observations(points: usize, random: &mut Random) -> Observations {
         })
         .collect();
     let mut all = Observations {
+        glosses: vec![Gloss::MAIN],
+        points: Vec::new(),
+        rows: Vec::new(),
         scale: 1.0,
-        ..Observations::default()
+        gray: false,
     };
     for _ in 0..points {
         let normal = random.direction(0.25);
@@ -351,6 +355,7 @@ fn bare_observations(points: usize, random: &mut Random) -> Observations {
             position: Vec3::ZERO,
             normal,
             on: (0, glam::Vec2::ZERO),
+            gloss: 0,
             rows: first..all.rows.len(),
         });
     }

@@ -114,6 +114,7 @@ impl TrueSurface {
             mesh: &self.mesh,
             occluder: &self.occluder,
             brdf: Some(self.brdf),
+            gloss: None,
             surroundings: self
                 .interreflection
                 .as_ref()

@@ -76,6 +76,7 @@ impl LitScene<'_> {
             mesh: &solution.mesh,
             occluder: &self.renderer.occluder,
             brdf: solution.brdf,
+            gloss: self.renderer.solution.gloss_map(),
             surroundings: interreflection.map(|interreflection| Surroundings {
                 interreflection,
                 atlas: &solution.atlas,

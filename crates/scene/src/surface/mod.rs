@@ -5,6 +5,7 @@ mod bundle;
 mod bvh;
 mod charts;
 mod fairing;
+mod gloss_texture;
 mod parts;
 mod texture;
 mod visible;
@@ -12,6 +13,7 @@ mod visible;
 pub use atlas::{Atlas, LARGEST_SIDE, Texel};
 pub use bvh::{Hit, Occluder, WalkNode};
 pub use fairing::{Fairing, area_vectors};
+pub use gloss_texture::GlossTexture;
 pub use parts::{GlossParts, PartPoint, likeness};
 pub use texture::{
     FULL_COVERAGE, GRAZING, MinimumTexture, Observation, Reading, is_object, minimum_texture,

@@ -1,7 +1,7 @@
 //! Parts of the surface whose gloss differs: points that say of which kind it is around them.
 
+use rstar::RTree;
 use rstar::primitives::GeomWithData;
-use rstar::{AABB, RTree};
 
 use crate::reflectance::Gloss;
 use glam::Vec3;
@@ -27,19 +27,29 @@ pub struct GlossParts {
     pub glosses: Vec<Gloss>,
     /// Difference of colours that tells parts apart, in natural logarithms.
     contrast: f32,
+    /// Radiance whose logarithm is 0.
+    scale: f32,
     points: RTree<GeomWithData<[f32; 3], PartPoint>>,
 }
 
 impl GlossParts {
-    /// Parts by their points, whose colours tell them apart where these differ by `contrast`.
-    pub fn new(glosses: Vec<Gloss>, contrast: f32, points: Vec<PartPoint>) -> Self {
+    /// Parts by their points, whose colours, logarithms of radiances in units of `scale`, tell them apart where they differ by
+    /// `contrast`.
+    pub fn new(glosses: Vec<Gloss>, contrast: f32, scale: f32, points: Vec<PartPoint>) -> Self {
         let placed = points.into_iter();
         let placed = placed.map(|point| GeomWithData::new(point.position.to_array(), point));
         Self {
             glosses,
             contrast,
+            scale,
             points: RTree::bulk_load(placed.collect()),
         }
+    }
+
+    /// Part of the points that have one of the glosses.
+    pub fn share(&self, gloss: usize) -> f32 {
+        let own = self.points.iter().filter(|p| p.data.gloss == gloss).count();
+        own as f32 / self.points.size().max(1) as f32
     }
 
     /// Which gloss the surface has at a place: that of the nearest point.
@@ -58,25 +68,13 @@ impl GlossParts {
         for (point, squared) in around.take(VOTERS) {
             reach = reach.max(squared);
             let alike = colour.map_or(1.0, |colour| self.likeness(colour, point.data.colour));
-            votes.push((alike / (squared + 0.02 * reach).max(1e-30), point.data.gloss));
+            votes.push((
+                alike / (squared + 0.02 * reach).max(1e-30),
+                point.data.gloss,
+            ));
         }
-        let total: f32 = votes.iter().map(|(weight, _)| weight).sum();
-        let (mut log_roughness, mut strength, mut shown) = (0.0, 0.0, 0.0);
-        for (weight, gloss) in votes {
-            let (part, gloss) = (weight / total, self.glosses[gloss]);
-            strength += part * gloss.strength;
-            shown += part * gloss.strength;
-            log_roughness += part * gloss.strength * gloss.roughness.ln();
-        }
-        let roughness = if shown > 0.0 {
-            (log_roughness / shown).exp()
-        } else {
-            1.0
-        };
-        Gloss {
-            roughness,
-            strength,
-        }
+        let glosses = votes.into_iter();
+        Gloss::mean(glosses.map(|(weight, gloss)| (self.glosses[gloss], weight)))
     }
 
     /// How alike two colours are, from 0 to 1.
@@ -84,10 +82,10 @@ impl GlossParts {
         likeness(self.contrast, one, other)
     }
 
-    /// The points within a box.
-    pub fn within(&self, least: Vec3, most: Vec3) -> impl Iterator<Item = &PartPoint> {
-        let corners = AABB::from_corners(least.to_array(), most.to_array());
-        self.points.locate_in_envelope(corners).map(|p| &p.data)
+    /// A diffuse radiance, positive and in the capture's units, as the points' colours are.
+    pub fn colour(&self, radiance: Vec3) -> Vec3 {
+        let scaled = radiance / self.scale;
+        Vec3::new(scaled.x.ln(), scaled.y.ln(), scaled.z.ln())
     }
 }
 
