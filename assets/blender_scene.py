@@ -81,12 +81,36 @@ def material(scene, here):
     texture.image = image(here / scene["base_colour"], linear_space())
     output = nodes.new("ShaderNodeOutputMaterial")
     stated = scene["material"]
+    gloss = stated["gloss"]
+    if gloss:
+        # Parts differ: roughness is in red, the reflectance as a part of the strongest part's in green.
+        levels = nodes.new("ShaderNodeTexImage")
+        levels.image = image(here / gloss["file"], linear_space())
+        channels = nodes.new("ShaderNodeSeparateColor")
+        links.new(levels.outputs["Color"], channels.inputs[0])
+    f0, ior = (gloss or stated)["f0"], (gloss or stated)["ior"]
+
+    def times_level(target, factor):
+        """The level times a factor, a number or a socket, into a socket."""
+        product = nodes.new("ShaderNodeMath")
+        product.operation = "MULTIPLY"
+        links.new(channels.outputs[1], product.inputs[0])
+        if isinstance(factor, float):
+            product.inputs[1].default_value = factor
+        else:
+            links.new(factor, product.inputs[1])
+        links.new(product.outputs[0], target)
+
     if MATERIAL == "principled" or stated["specular"] == "ggx":
         shader = nodes.new("ShaderNodeBsdfPrincipled")
         shader.distribution = "GGX"
         shader.inputs["Roughness"].default_value = stated["roughness"]
-        shader.inputs["IOR"].default_value = stated["ior"]
+        shader.inputs["IOR"].default_value = ior
         links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+        if gloss:
+            links.new(channels.outputs[0], shader.inputs["Roughness"])
+            # At 0.5 the surface reflects what its index of refraction says.
+            times_level(shader.inputs["Specular IOR Level"], 0.5)
         if stated["specular"] is None:
             shader.inputs["Specular IOR Level"].default_value = 0.0
     else:
@@ -99,13 +123,19 @@ def material(scene, here):
             glossy.inputs["Color"].default_value = (1, 1, 1, 1)
             glossy.inputs["Roughness"].default_value = stated["roughness"]
             shader = nodes.new("ShaderNodeMixShader")
-            shader.inputs["Fac"].default_value = stated["f0"]
+            shader.inputs["Fac"].default_value = f0
+            if gloss:
+                links.new(channels.outputs[0], glossy.inputs["Roughness"])
+                times_level(shader.inputs["Fac"], f0)
             links.new(diffuse.outputs[0], shader.inputs[1])
             links.new(glossy.outputs[0], shader.inputs[2])
             if stated["specular"] == "beckmann":
                 fresnel = nodes.new("ShaderNodeFresnel")
-                fresnel.inputs["IOR"].default_value = stated["ior"]
-                links.new(fresnel.outputs[0], shader.inputs["Fac"])
+                fresnel.inputs["IOR"].default_value = ior
+                if gloss:
+                    times_level(shader.inputs["Fac"], fresnel.outputs[0])
+                else:
+                    links.new(fresnel.outputs[0], shader.inputs["Fac"])
     links.new(shader.outputs[0], output.inputs["Surface"])
     return made
 

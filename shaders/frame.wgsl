@@ -49,8 +49,8 @@ struct Frame {
     rows: vec2u,
     /// Radius of a sphere about the centre that holds the object.
     radius: f32,
-    /// Factor of the albedo when it is shown.
-    shown_albedo: f32,
+    /// Largest specular strength of any part, as a multiple of the main lobe's.
+    strongest: f32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

@@ -226,6 +226,8 @@ const IRRADIANCE: u32 = 4u;
 const NORMALS: u32 = 5u;
 const SHADOW: u32 = 6u;
 const CONFIDENCE: u32 = 7u;
+const ROUGHNESS: u32 = 8u;
+const STRENGTH: u32 = 9u;
 const STORED: u32 = 1u;
 const COVERAGE: u32 = 2u;
 const LARGEST: f32 = 6e4;
@@ -273,6 +275,14 @@ fn shown_visibility() -> f32 {
     return lamp_words[at / 4u][at % 4u];
 }
 
+/// √α of the lobe, as other programs call roughness; 1 where nothing is reflected.
+fn shown_roughness(gloss: vec2f) -> f32 {
+    if (frame.model == NO_LOBE || gloss.y <= 0.0) {
+        return 1.0;
+    }
+    return sqrt(min(sqrt(2.0) * frame.sigma * gloss.x, 1.0));
+}
+
 /// The picture's value at a visible point.
 fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
     let surface = surface_at(triangle, weights);
@@ -285,7 +295,14 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
     }
     let albedo = textureSampleLevel(albedo_texture, linear_sampler, surface.uv, 0.0).rgb;
     if (frame.mode == ALBEDO) {
-        return albedo * frame.shown_albedo;
+        return albedo;
+    }
+    let gloss = textureSampleLevel(gloss_texture, linear_sampler, surface.uv, 0.0).rg;
+    if (frame.mode == ROUGHNESS) {
+        return vec3f(shown_roughness(gloss));
+    }
+    if (frame.mode == STRENGTH) {
+        return vec3f(select(gloss.y / max(frame.strongest, 1e-6), 0.0, frame.model == NO_LOBE));
     }
     read_lamps(surface.light_uv);
     mapped = vec4f(1.0);
@@ -301,7 +318,6 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
     if (frame.mode == SHADOW) {
         return vec3f(shown_visibility());
     }
-    let gloss = textureSampleLevel(gloss_texture, linear_sampler, surface.uv, 0.0).rg;
     let brdf = Brdf(frame.model, frame.sigma * gloss.x, gloss.y);
     let view = normalize(eye() - surface.position);
     let terms = view_terms(brdf, surface.normal, view);

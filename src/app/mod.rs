@@ -356,11 +356,12 @@ impl App {
                 if let Some(estimation) = &mut self.estimation {
                     estimation.finish(Arc::clone(&solution));
                 }
-                let text = match solution.lamps.len() {
+                let lamps = match solution.lamps.len() {
                     0 => "No lamps were found.".to_owned(),
                     1 => "One lamp was found.".to_owned(),
                     n => format!("{n} lamps were found."),
                 };
+                let text = format!("{lamps} Surface: {}.", solution.surface_in_words());
                 self.notices.add(Weight::Done, "Estimated", text);
                 self.show_document(Document::new(solution, None));
             }

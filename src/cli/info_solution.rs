@@ -31,6 +31,7 @@ fn text(solution: &Solution) -> String {
             .map(|[low, high]| format!(", 95 % between {low:.5} and {high:.5}"))
             .unwrap_or_default();
         line("roughness", format!("σ {:.5}{interval}", brdf.sigma));
+        line("surface", solution.surface_in_words());
         let model = format!("{:?}", brdf.model).to_lowercase();
         line("specular", format!("{model}: {}", solution.chosen_because));
     } else {

@@ -301,7 +301,8 @@ pub(super) fn solve_capture(
 pub(super) fn describe(solution: &Solution) -> String {
     match solution.brdf {
         Some(brdf) => format!(
-            "roughness σ {:.4}, {} light{}",
+            "{} (σ {:.4}), {} light{}",
+            solution.surface_in_words(),
             brdf.sigma,
             solution.lamps.len(),
             if solution.lamps.len() == 1 { "" } else { "s" }

@@ -41,7 +41,7 @@ pub(super) struct Frame {
     pub irradiance_scale: f32,
     pub rows: [u32; 2],
     pub radius: f32,
-    pub shown_albedo: f32,
+    pub strongest: f32,
 }
 
 /// The diffuse part is the stored texture.

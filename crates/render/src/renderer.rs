@@ -606,7 +606,7 @@ impl Renderer {
             window_weight: light.lists.windows.len().max(1) as f32,
             ambient: light.ambient.to_array(),
             irradiance_scale: surface.albedo_unit,
-            shown_albedo: 1.0,
+            strongest: (surface.solution.gloss.as_ref()).map_or(1.0, GlossTexture::strongest),
             walk_nodes: loaded.buffers.walk_nodes,
             half_vector: MEAN_HALF_VECTOR,
             shown_lamp: match request.mode {

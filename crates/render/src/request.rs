@@ -23,6 +23,10 @@ pub enum Mode {
     Shadow(usize),
     /// How far the texture is known, 0 to 1.
     Confidence,
+    /// Roughness of the lobe as other programs call it, the root of its width α: 0 to 1, and 1 where nothing is reflected.
+    Roughness,
+    /// What the surface reflects specularly, as a part of what its strongest part does.
+    Strength,
 }
 
 /// What is behind the object.
@@ -63,6 +67,8 @@ impl Mode {
             Self::Normals => 5,
             Self::Shadow(_) => 6,
             Self::Confidence => 7,
+            Self::Roughness => 8,
+            Self::Strength => 9,
         }
     }
 
@@ -71,7 +77,11 @@ impl Mode {
         match self {
             Self::Beauty | Self::Diffuse | Self::Specular | Self::Irradiance => 0,
             Self::Albedo => 1,
-            Self::Normals | Self::Shadow(_) | Self::Confidence => 2,
+            Self::Normals
+            | Self::Shadow(_)
+            | Self::Confidence
+            | Self::Roughness
+            | Self::Strength => 2,
         }
     }
 }

@@ -92,6 +92,23 @@ impl Gloss {
         }
     }
 
+    /// How far two glosses are apart: by the logarithms of roughness, as far as both reflect, and by strength.
+    pub fn difference(self, other: Self) -> f32 {
+        let [least, most] = [
+            self.strength.min(other.strength),
+            self.strength.max(other.strength),
+        ];
+        let alike = least / most.max(f32::MIN_POSITIVE);
+        alike * (self.roughness / other.roughness).ln().abs() + (1.0 - alike)
+    }
+
+    /// Which of some it is or comes nearest to.
+    pub fn nearest(self, others: &[Self]) -> usize {
+        let apart = |k: usize| self.difference(others[k]);
+        let nearest = (0..others.len()).min_by(|&a, &b| apart(a).total_cmp(&apart(b)));
+        nearest.unwrap_or(0)
+    }
+
     /// Peak of the lobe as a multiple of the main one's: a lobe of the same strength is lower the wider it is.
     #[inline(always)]
     pub fn height(self) -> f32 {

@@ -28,6 +28,7 @@
 mod error;
 mod exr_file;
 mod format;
+mod materials;
 mod mesh_file;
 mod origin;
 mod placed;
@@ -36,6 +37,7 @@ mod solve;
 pub use error::SolutionError;
 pub use exr_file::{write_rgb, write_rgba};
 pub use format::{Fit, Skipped};
+pub use materials::SurfacePart;
 pub use mesh_file::{write_obj, write_plain_obj};
 pub use origin::origin;
 pub use placed::{manifest_of, write_mesh_transform, write_placed_mesh};
@@ -825,7 +827,7 @@ mod tests {
         }
     }
 
-    fn example() -> Solution {
+    pub(super) fn example() -> Solution {
         let grid = HemisphereGrid::new(4, Vec3::Y, Some(3.0), Vec3::new(0.1, 0.2, 0.3));
         let mut radiance = vec![[0.0; 3]; grid.directions.len()];
         radiance[5] = [0.1, 20.0, 1e-7];
@@ -923,7 +925,7 @@ mod tests {
         example().save(&path).unwrap();
         let manifest = path.join("solution.json");
         let text = fs::read_to_string(&manifest).unwrap();
-        fs::write(&manifest, text.replace("\"version\": 1", "\"version\": 2")).unwrap();
+        fs::write(&manifest, text.replace("\"version\": 1", "\"version\": 9")).unwrap();
         assert!(message(&path).contains("newer"));
         fs::write(&manifest, &text).unwrap();
         fs::remove_file(path.join("albedo.exr")).unwrap();

@@ -815,6 +815,14 @@ impl Viewport {
             Mode::Normals => ("Normals", "Shading normals in the world, (n + 1)/2"),
             Mode::Shadow(_) => ("Shadow", "What the surface sees of the selected lamp"),
             Mode::Confidence => ("Confidence", "How far the texture is known"),
+            Mode::Roughness => (
+                "Roughness",
+                "Roughness of the lobe as other programs have it, black for a mirror, white where nothing is reflected",
+            ),
+            Mode::Strength => (
+                "Specular strength",
+                "What the surface reflects specularly, white where it is most",
+            ),
         };
         egui::ComboBox::from_id_salt("mode")
             .selected_text(name(self.look.mode).0)
@@ -829,6 +837,8 @@ impl Viewport {
                     Mode::Normals,
                     Mode::Shadow(0),
                     Mode::Confidence,
+                    Mode::Roughness,
+                    Mode::Strength,
                 ] {
                     let (text, tip) = name(mode);
                     ui.selectable_value(&mut self.look.mode, mode, text)

@@ -7,6 +7,8 @@ use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use super::gauge::Material;
 use rekindle_capture::{Camera, Mesh};
 use rekindle_relight::{LampNodes, LightNode, Lighting};
+use rekindle_scene::reflectance::Gloss;
+use rekindle_scene::surface::GlossTexture;
 use rekindle_solution::Solution;
 
 /// What fixes the scale that the photographs leave open.
@@ -33,6 +35,17 @@ pub struct Source<'a> {
     pub anchor: Anchor,
 }
 
+/// A part of the surface with a material of its own.
+#[derive(Clone, Copy, Debug)]
+pub struct Part {
+    /// How it differs from the main part.
+    pub gloss: Gloss,
+    /// The same in other programs' terms.
+    pub material: Material,
+    /// Share of the surface.
+    pub share: f32,
+}
+
 /// The object and its light.
 #[derive(Clone, Debug)]
 pub struct Asset {
@@ -46,8 +59,12 @@ pub struct Asset {
     pub texture_width: u32,
     /// Diffuse albedo of each texel, linear RGB, raised by [`Material::behind_surface`]. It may exceed 1.
     pub base_colour: Vec<[f32; 3]>,
-    /// How the surface reflects.
+    /// How the surface reflects, or its main part.
     pub material: Material,
+    /// How other parts differ from that, texel by texel.
+    pub gloss: Option<GlossTexture>,
+    /// The parts whose gloss differs, the largest first; one where all is alike.
+    pub parts: Vec<Part>,
     /// The light, without muted lamps: radiance is real, not K_S-scaled.
     pub lighting: Lighting,
     /// Name of every lamp.
@@ -76,7 +93,6 @@ impl Asset {
         } = *source;
         let turn = upright(lighting.up);
         let material = material(solution, anchor);
-        let factor = PI * material.specular_scale * material.behind_surface();
         let (lamp_numbers, lamps): (Vec<usize>, Vec<LampNodes>) = (1..)
             .zip(&lighting.lamps)
             .filter(|(_, lamp)| !lamp.muted)
@@ -91,12 +107,23 @@ impl Asset {
             mesh: turned_mesh(&solution.mesh, turn),
             uvs: solution.stored_uvs(),
             texture_width: solution.atlas.width,
-            base_colour: solution
-                .albedo
-                .iter()
-                .map(|a| a.map(|v| v * factor))
-                .collect(),
+            base_colour: base_colour(solution, &material),
             material,
+            parts: match &solution.gloss {
+                Some(gloss) => (gloss.parts(&solution.atlas).into_iter())
+                    .map(|(gloss, share)| Part {
+                        gloss,
+                        material: material.at(gloss),
+                        share,
+                    })
+                    .collect(),
+                None => vec![Part {
+                    gloss: Gloss::MAIN,
+                    material,
+                    share: 1.0,
+                }],
+            },
+            gloss: solution.gloss.clone(),
             lighting: Lighting {
                 lamps,
                 remainder: turned_nodes(&lighting.remainder, turn, &material),
@@ -123,6 +150,32 @@ impl Asset {
         }
     }
 
+    /// The material of a texel.
+    pub fn material_at(&self, texel: usize) -> Material {
+        match &self.gloss {
+            Some(gloss) => self.material.at(gloss.texels()[texel]),
+            None => self.material,
+        }
+    }
+
+    /// Which of [`Asset::parts`] each texel is of, or nearest to.
+    pub fn nearest_parts(&self) -> Vec<usize> {
+        let Some(gloss) = &self.gloss else {
+            return vec![0; self.base_colour.len()];
+        };
+        let parts: Vec<Gloss> = self.parts.iter().map(|part| part.gloss).collect();
+        let texels = gloss.texels().iter();
+        texels.map(|own| own.nearest(&parts)).collect()
+    }
+
+    /// The material of the part that reflects most at normal incidence.
+    pub fn strongest(&self) -> Material {
+        let parts = self.parts.iter().map(|part| part.material);
+        parts
+            .max_by(|a, b| a.f0.total_cmp(&b.f0))
+            .unwrap_or(self.material)
+    }
+
     /// Part of the texels with a colour above 1, which no surface has, and the largest value.
     pub fn too_bright(&self) -> (f32, f32) {
         let used = self.base_colour.iter().filter(|c| **c != [0.0; 3]);
@@ -135,6 +188,20 @@ impl Asset {
         }
         (above as f32 / count.max(1) as f32, largest)
     }
+}
+
+/// The diffuse albedo behind a surface of this material.
+fn base_colour(solution: &Solution, material: &Material) -> Vec<[f32; 3]> {
+    let texels = solution.albedo.iter().enumerate();
+    let raised = texels.map(|(k, albedo)| {
+        let own = match &solution.gloss {
+            Some(gloss) => material.at(gloss.texels()[k]),
+            None => *material,
+        };
+        let factor = PI * material.specular_scale * own.behind_surface();
+        albedo.map(|v| v * factor)
+    });
+    raised.collect()
 }
 
 fn material(solution: &Solution, anchor: Anchor) -> Material {

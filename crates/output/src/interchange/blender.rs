@@ -19,6 +19,8 @@ pub struct Files<'a> {
     pub mesh: &'a str,
     /// Linear base colour, EXR.
     pub base_colour: &'a str,
+    /// Roughness in red and specular level in green, linear EXR, where parts differ.
+    pub gloss: Option<&'a str>,
     /// The whole light, lat-long in Blender's orientation.
     pub light: &'a str,
     /// The same without lamps.
@@ -57,6 +59,10 @@ pub fn scene(asset: &Asset, files: &Files) -> Value {
             "f0": material.f0,
             "roughness": material.roughness(),
             "ior": material.refractive_index(),
+            "gloss": files.gloss.map(|file| {
+                let strongest = asset.strongest();
+                json!({ "file": file, "f0": strongest.f0, "ior": strongest.refractive_index() })
+            }),
         },
         "interreflections": material.model.is_some_and(SpecularModel::is_dielectric),
         "lamps": lamps,

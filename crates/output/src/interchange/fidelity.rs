@@ -17,10 +17,10 @@ use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::asset::Asset;
-use super::gauge::fresnel;
+use super::gauge::{Material, fresnel};
 use rekindle_capture::Camera;
 use rekindle_relight::{LampNodes, Stop, psnr};
-use rekindle_scene::reflectance::{Brdf, SpecularModel};
+use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
 use rekindle_scene::surface::Occluder;
 
 /// Columns of the pictures that are compared.
@@ -50,6 +50,8 @@ struct Place {
     normal: Vec3,
     view: Vec3,
     base_colour: Vec3,
+    material: Material,
+    brdf: Brdf,
     /// Lamps that reach it.
     seen: Vec<bool>,
 }
@@ -57,8 +59,7 @@ struct Place {
 /// Compares the asset's views; `None` without cameras, without a lobe, where no view shows the object, and where `stop` says
 /// so.
 pub fn fidelity(asset: &Asset, stop: Stop) -> Option<Fidelity> {
-    let model = asset.material.model?;
-    let sigma = asset.material.sigma;
+    let main = Brdf::new(asset.material.model?, asset.material.sigma);
     let occluder = Occluder::new(&asset.mesh);
     let lamps = lamps(asset);
     let mut worst: Option<Fidelity> = None;
@@ -67,14 +68,14 @@ pub fn fidelity(asset: &Asset, stop: Stop) -> Option<Fidelity> {
         if stop() {
             return None;
         }
-        let places = places(asset, &occluder, &lamps, camera);
+        let places = places(asset, (&occluder, main), &lamps, camera);
         if places.is_empty() {
             continue;
         }
         let shaded = |shade: &(dyn Fn(&Place) -> Vec3 + Sync)| -> Vec<Vec3> {
             places.par_iter().map(shade).collect()
         };
-        let own = shaded(&|place| own_radiance(asset, Brdf::new(model, sigma), &lamps, place));
+        let own = shaded(&|place| own_radiance(asset, &lamps, place));
         let other = |lobe| psnr(&own, &shaded(&|place| radiance(asset, lobe, &lamps, place)));
         let here = Fidelity {
             beckmann_db: other(Lobe::Beckmann),
@@ -97,8 +98,13 @@ fn lamps(asset: &Asset) -> Vec<LampNodes> {
     lamps.cloned().chain(strays).collect()
 }
 
-/// The surface at the pixels' centres.
-fn places(asset: &Asset, occluder: &Occluder, lamps: &[LampNodes], camera: &Camera) -> Vec<Place> {
+/// The surface at the pixels' centres; `main` is its main lobe.
+fn places(
+    asset: &Asset,
+    (occluder, main): (&Occluder, Brdf),
+    lamps: &[LampNodes],
+    camera: &Camera,
+) -> Vec<Place> {
     let rows = (COLUMNS * camera.height)
         .div_ceil(camera.width.max(1))
         .max(1);
@@ -113,6 +119,8 @@ fn places(asset: &Asset, occluder: &Occluder, lamps: &[LampNodes], camera: &Came
         if view.dot(face) <= 0.0 || view.dot(point.normal) <= 0.0 {
             return None;
         }
+        let texel = texel(asset, hit.triangle, hit.barycentric);
+        let gloss = (asset.gloss.as_ref()).map_or(Gloss::MAIN, |gloss| gloss.texels()[texel]);
         let origin = occluder.offset_origin(point.position, face);
         let seen = lamps
             .iter()
@@ -125,22 +133,24 @@ fn places(asset: &Asset, occluder: &Occluder, lamps: &[LampNodes], camera: &Came
             position: point.position,
             normal: point.normal,
             view,
-            base_colour: base_colour(asset, hit.triangle, hit.barycentric),
+            base_colour: Vec3::from(asset.base_colour[texel]).min(Vec3::ONE),
+            material: asset.material_at(texel),
+            brdf: main.at(gloss),
             seen,
         })
     };
     (0..COLUMNS * rows).into_par_iter().filter_map(at).collect()
 }
 
-/// The nearest texel's colour, as programs cut it.
-fn base_colour(asset: &Asset, triangle: u32, barycentric: Vec2) -> Vec3 {
+/// The nearest texel.
+fn texel(asset: &Asset, triangle: u32, barycentric: Vec2) -> usize {
     let [a, b, c] = asset.uvs[triangle as usize];
     let uv = a + (b - a) * barycentric.x + (c - a) * barycentric.y;
     let width = asset.texture_width as usize;
     let height = asset.base_colour.len() / width.max(1);
     let column = ((uv.x * width as f32) as usize).min(width.saturating_sub(1));
     let row = (((1.0 - uv.y) * height as f32) as usize).min(height.saturating_sub(1));
-    Vec3::from(asset.base_colour[row * width + column]).min(Vec3::ONE)
+    row * width + column
 }
 
 /// Unit direction from a surface point to a node, its fall-off and its distance.
@@ -174,8 +184,8 @@ fn each_node(
 }
 
 /// Radiance as rekindle shades it.
-fn own_radiance(asset: &Asset, brdf: Brdf, lamps: &[LampNodes], place: &Place) -> Vec3 {
-    let material = &asset.material;
+fn own_radiance(asset: &Asset, lamps: &[LampNodes], place: &Place) -> Vec3 {
+    let Place { material, brdf, .. } = place;
     let terms = brdf.view_terms(place.normal, place.view);
     let mean = match brdf.model {
         SpecularModel::Paper | SpecularModel::Metal => 1.0,
@@ -195,11 +205,11 @@ fn own_radiance(asset: &Asset, brdf: Brdf, lamps: &[LampNodes], place: &Place) -
 
 /// Radiance as a program with this lobe shades it.
 fn radiance(asset: &Asset, lobe: Lobe, lamps: &[LampNodes], place: &Place) -> Vec3 {
-    let material = &asset.material;
+    let material = &place.material;
     let (alpha, index) = (material.alpha(), material.refractive_index());
     // The exact form of the paper's model is a mixture by F₀; what knows GGX only has a Fresnel factor.
     let mixed = matches!(
-        (lobe, material.model),
+        (lobe, asset.material.model),
         (Lobe::Beckmann, Some(SpecularModel::Paper)) | (Lobe::Ggx, Some(SpecularModel::Metal))
     );
     let reflects = |cos: f32| {

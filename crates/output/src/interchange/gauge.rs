@@ -11,10 +11,13 @@
 
 use std::f32::consts::{PI, SQRT_2};
 
-use rekindle_scene::reflectance::{Brdf, SpecularModel};
+use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
 
 /// Reflectance of plastic, varnish and skin at normal incidence: an index of refraction of 1.5.
 pub const USUAL_F0: f32 = 0.04;
+
+/// No dielectric reflects more at normal incidence.
+const LARGEST_F0: f32 = 0.9;
 
 /// Reflection of the surface in the terms of other programs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,6 +48,25 @@ impl Material {
             sigma,
             f0,
             specular_scale: f0 / (8.0 * PI * sigma * sigma),
+        }
+    }
+
+    /// The material of a part of another gloss, where this is the main one.
+    #[must_use]
+    pub fn at(&self, gloss: Gloss) -> Self {
+        if gloss.strength <= 0.0 {
+            return Self {
+                model: None,
+                f0: 0.0,
+                specular_scale: 0.0,
+                ..*self
+            };
+        }
+        Self {
+            sigma: self.sigma * gloss.roughness,
+            f0: (self.f0 * gloss.strength).min(LARGEST_F0),
+            specular_scale: self.specular_scale * gloss.height(),
+            ..*self
         }
     }
 

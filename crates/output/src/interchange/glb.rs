@@ -105,8 +105,8 @@ fn little_endian(words: impl Iterator<Item = u32>) -> Vec<u8> {
     words.flat_map(u32::to_le_bytes).collect()
 }
 
-/// The file's bytes; `base_colour` is the texture as PNG.
-pub fn glb(asset: &Asset, base_colour: &[u8]) -> Vec<u8> {
+/// The file's bytes; `base_colour` is the texture as PNG, `gloss` that of roughness and specular level where parts differ.
+pub fn glb(asset: &Asset, base_colour: &[u8], gloss: Option<&[u8]>) -> Vec<u8> {
     let vertices = Vertices::new(&asset.mesh, &asset.uvs);
     let mut buffer = Buffer::default();
     let positions = buffer.vectors(&vertices.positions, true);
@@ -128,7 +128,10 @@ pub fn glb(asset: &Asset, base_colour: &[u8]) -> Vec<u8> {
         ELEMENT_ARRAY_BUFFER,
         json!({ "componentType": UNSIGNED_INT, "count": vertices.indices.len(), "type": "SCALAR" }),
     );
-    let image = buffer.view(base_colour, None);
+    let images: Vec<usize> = std::iter::once(base_colour)
+        .chain(gloss)
+        .map(|image| buffer.view(image, None))
+        .collect();
     let lamps = listed(asset);
     let mut nodes = vec![json!({ "name": asset.name, "mesh": 0 })];
     nodes.extend(lamps.iter().enumerate().map(|(i, lamp)| lamp_node(i, lamp)));
@@ -150,10 +153,10 @@ pub fn glb(asset: &Asset, base_colour: &[u8]) -> Vec<u8> {
             "material": 0,
         }] }],
         "materials": [material(asset)],
-        "textures": [{ "source": 0, "sampler": 0 }],
+        "textures": (0..images.len()).map(|k| json!({ "source": k, "sampler": 0 })).collect::<Vec<_>>(),
         // Linear filtering without smaller copies, which would mix neighbouring charts; clamped at the edge.
         "samplers": [{ "magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071 }],
-        "images": [{ "bufferView": image, "mimeType": "image/png" }],
+        "images": images.iter().map(|view| json!({ "bufferView": view, "mimeType": "image/png" })).collect::<Vec<_>>(),
         "buffers": [{ "byteLength": buffer.bytes.len() }],
         "bufferViews": buffer.views,
         "accessors": buffer.accessors,
@@ -164,7 +167,7 @@ pub fn glb(asset: &Asset, base_colour: &[u8]) -> Vec<u8> {
         let lights: Vec<Value> = lamps.iter().map(light).collect();
         root["extensions"] = json!({ "KHR_lights_punctual": { "lights": lights } });
     }
-    if asset.material.model.is_none() {
+    if asset.material.model.is_none() || asset.gloss.is_some() {
         used.push("KHR_materials_specular");
     }
     if !asset.cameras.is_empty() {
@@ -177,19 +180,26 @@ pub fn glb(asset: &Asset, base_colour: &[u8]) -> Vec<u8> {
 fn material(asset: &Asset) -> Value {
     let material = &asset.material;
     let mut extensions = Map::new();
-    let index = material.refractive_index();
+    let index = asset.strongest().refractive_index();
     extensions.insert("KHR_materials_ior".to_owned(), json!({ "ior": index }));
     if material.model.is_none() {
         let none = json!({ "specularFactor": 0.0 });
         extensions.insert("KHR_materials_specular".to_owned(), none);
     }
+    let mut reflection = json!({
+        "baseColorTexture": { "index": 0 },
+        "metallicFactor": 0.0,
+        "roughnessFactor": material.roughness(),
+    });
+    if asset.gloss.is_some() {
+        reflection["roughnessFactor"] = json!(1.0);
+        reflection["metallicRoughnessTexture"] = json!({ "index": 1 });
+        let levels = json!({ "specularTexture": { "index": 1 } });
+        extensions.insert("KHR_materials_specular".to_owned(), levels);
+    }
     json!({
         "name": asset.name,
-        "pbrMetallicRoughness": {
-            "baseColorTexture": { "index": 0 },
-            "metallicFactor": 0.0,
-            "roughnessFactor": material.roughness(),
-        },
+        "pbrMetallicRoughness": reflection,
         "extensions": extensions,
         "extras": {
             "sigma": material.sigma,

@@ -12,6 +12,7 @@ use thiserror::Error;
 
 use super::asset::{Asset, Source};
 use super::fidelity::{Fidelity, fidelity};
+use super::gauge::Material;
 use super::light_map::{MapLayout, Orientation, Part};
 use super::notes::{notes, readme};
 use super::{blender, glb, light_list, mitsuba, obj, textures, usd};
@@ -26,6 +27,9 @@ const OBJ: &str = "object.obj";
 const MTL: &str = "object.mtl";
 const COLOUR_PNG: &str = "base_color.png";
 const COLOUR_EXR: &str = "base_color.exr";
+const ROUGHNESS_PNG: &str = "roughness.png";
+const SPECULAR_PNG: &str = "specular.png";
+const GLOSS_EXR: &str = "gloss.exr";
 const LIGHT: &str = "light.exr";
 const REST: &str = "light_without_lamps.exr";
 const README: &str = "README.txt";
@@ -253,25 +257,35 @@ impl<'a> Files<'a> {
         });
     }
 
-    fn base_colour(&mut self, name: &str, factor: f32) {
+    fn base_colour(&mut self, name: &str, factor: fn(&Material) -> f32) {
         let asset = self.asset;
         self.add(name, move |path| {
             textures::write_base_colour(path, asset, factor)
         });
     }
 
+    fn png(&mut self, name: &str, bytes: impl Fn(&Asset) -> io::Result<Vec<u8>> + 'a) {
+        let asset = self.asset;
+        self.add(name, move |path| fs::write(path, bytes(asset)?));
+    }
+
+    /// Roughness and specular level as grey pictures, where parts differ.
+    fn gloss_pngs(&mut self) -> Option<obj::GlossFiles<'static>> {
+        self.asset.gloss.as_ref()?;
+        self.png(ROUGHNESS_PNG, textures::roughness_png);
+        self.png(SPECULAR_PNG, textures::specular_png);
+        Some(obj::GlossFiles {
+            roughness: ROUGHNESS_PNG,
+            specular: SPECULAR_PNG,
+        })
+    }
+
     fn mesh(&mut self) {
         let asset = self.asset;
         self.add(OBJ, move |path| obj::write(path, asset, MTL));
-        self.text(MTL, move || obj::material(asset, COLOUR_PNG));
-        self.base_colour_png();
-    }
-
-    fn base_colour_png(&mut self) {
-        let asset = self.asset;
-        self.add(COLOUR_PNG, move |path| {
-            fs::write(path, textures::base_colour_png(asset)?)
-        });
+        let gloss = self.gloss_pngs();
+        self.text(MTL, move || obj::material(asset, COLOUR_PNG, gloss));
+        self.png(COLOUR_PNG, textures::base_colour_png);
     }
 
     fn light(&mut self) {
@@ -295,7 +309,11 @@ impl<'a> Files<'a> {
     fn blender(&mut self) {
         let asset = self.asset;
         self.mesh();
-        self.base_colour(COLOUR_EXR, 1.0);
+        self.base_colour(COLOUR_EXR, |_| 1.0);
+        let gloss = asset.gloss.as_ref().map(|_| GLOSS_EXR);
+        if let Some(name) = gloss {
+            self.add(name, move |path| textures::write_gloss(path, asset));
+        }
         let own = self.layout.oriented(Orientation::Blender);
         let light = self.own_light(own, "light_blender.exr");
         self.map(REST, own, Part::Rest);
@@ -303,6 +321,7 @@ impl<'a> Files<'a> {
             let files = blender::Files {
                 mesh: OBJ,
                 base_colour: COLOUR_EXR,
+                gloss,
                 light,
                 rest: REST,
             };
@@ -314,19 +333,25 @@ impl<'a> Files<'a> {
     fn mitsuba(&mut self) {
         let asset = self.asset;
         self.mesh();
-        let factor = mitsuba::diffuse_factor(asset);
-        let base_colour = if factor == 1.0 {
+        let base_colour = if mitsuba::diffuse_factor(&asset.material) == 1.0 {
             COLOUR_EXR
         } else {
             "diffuse_mitsuba.exr"
         };
-        self.base_colour(base_colour, factor);
+        self.base_colour(base_colour, mitsuba::diffuse_factor);
+        let masks: Vec<String> = (1..asset.parts.len())
+            .map(|part| format!("part_{}.png", part + 1))
+            .collect();
+        for (part, name) in (1..).zip(&masks) {
+            self.png(name, move |asset| textures::mask_png(asset, part));
+        }
         let own = self.layout.oriented(Orientation::Mitsuba);
         let light = self.distant_light(own, "light_mitsuba.exr");
         self.text("mitsuba.xml", move || {
             let files = mitsuba::Files {
                 mesh: OBJ,
                 base_colour,
+                masks: &masks,
                 light,
             };
             mitsuba::scene(asset, &files)
@@ -335,12 +360,14 @@ impl<'a> Files<'a> {
 
     fn usd(&mut self) {
         let asset = self.asset;
-        self.base_colour_png();
+        self.png(COLOUR_PNG, textures::base_colour_png);
+        let gloss = self.gloss_pngs();
         let own = self.layout.oriented(Orientation::Usd);
         let light = self.distant_light(own, "light_usd.exr");
         self.text("object.usda", move || {
             let files = usd::Files {
                 base_colour: COLOUR_PNG,
+                gloss,
                 light,
             };
             usd::stage(asset, &files)
@@ -379,7 +406,10 @@ fn files<'a>(asset: &'a Asset, job: &Job) -> Vec<File<'a>> {
             Form::Blender => files.blender(),
             Form::Mitsuba => files.mitsuba(),
             Form::Gltf => files.add("object.glb", |path| {
-                fs::write(path, glb::glb(asset, &textures::base_colour_png(asset)?))
+                let gloss = asset.gloss.as_ref();
+                let gloss = gloss.map(|_| textures::gltf_gloss_png(asset)).transpose()?;
+                let colours = textures::base_colour_png(asset)?;
+                fs::write(path, glb::glb(asset, &colours, gloss.as_deref()))
             }),
             Form::Usd => files.usd(),
             Form::Obj => files.mesh(),

@@ -9,6 +9,7 @@ use std::fmt::Write as _;
 use glam::{DMat4, DVec3, Vec3};
 
 use super::asset::{Asset, angular_radius};
+use super::gauge::Material;
 use rekindle_base::text::xml_attribute;
 use rekindle_capture::Camera;
 use rekindle_scene::reflectance::SpecularModel;
@@ -19,6 +20,8 @@ pub struct Files<'a> {
     pub mesh: &'a str,
     /// Linear base colour, EXR.
     pub base_colour: &'a str,
+    /// White where each part of another gloss is, all but the first; none where all is alike.
+    pub masks: &'a [String],
     /// The light that is not of near lamps, lat-long in Mitsuba's orientation.
     pub light: &'a str,
 }
@@ -51,7 +54,20 @@ pub fn scene(asset: &Asset, files: &Files) -> String {
         "    <shape type=\"obj\">\n        <string name=\"filename\" value=\"{}\"/>\n",
         xml_attribute(files.mesh)
     );
-    material(&mut text, asset, files.base_colour);
+    // Mitsuba's rough plastic has one roughness: one surface for each part, blended by masks.
+    for mask in files.masks.iter().rev() {
+        let _ = writeln!(
+            text,
+            "        <bsdf type=\"blendbsdf\">{}",
+            bitmap("weight", mask)
+        );
+    }
+    for (k, part) in asset.parts.iter().enumerate() {
+        material(&mut text, &part.material, files.base_colour);
+        if k > 0 {
+            text.push_str("        </bsdf>\n");
+        }
+    }
     text.push_str("    </shape>\n");
     let _ = write!(
         text,
@@ -63,14 +79,16 @@ pub fn scene(asset: &Asset, files: &Files) -> String {
     text
 }
 
-fn material(text: &mut String, asset: &Asset, base_colour: &str) {
-    let material = &asset.material;
-    let texture = |name: &str| {
-        format!(
-            "<texture type=\"bitmap\" name=\"{name}\"><string name=\"filename\" value=\"{}\"/><boolean name=\"raw\" value=\"true\"/></texture>",
-            xml_attribute(base_colour)
-        )
-    };
+/// A linear texture.
+fn bitmap(name: &str, file: &str) -> String {
+    format!(
+        "<texture type=\"bitmap\" name=\"{name}\"><string name=\"filename\" value=\"{}\"/><boolean name=\"raw\" value=\"true\"/></texture>",
+        xml_attribute(file)
+    )
+}
+
+fn material(text: &mut String, material: &Material, base_colour: &str) {
+    let texture = |name: &str| bitmap(name, base_colour);
     let distribution = match material.model {
         Some(SpecularModel::Ggx | SpecularModel::Metal) => "ggx",
         _ => "beckmann",
@@ -105,11 +123,11 @@ fn material(text: &mut String, asset: &Asset, base_colour: &str) {
 
 /// By how much the base colour is to be multiplied for a program whose rough plastic lets light through the surface twice
 /// and normalises by the part of uniform light that passes.
-pub fn diffuse_factor(asset: &Asset) -> f32 {
-    match asset.material.model {
+pub fn diffuse_factor(material: &Material) -> f32 {
+    match material.model {
         // Ours is 1 for normal incidence and exitance, and the base colour is raised for one passage.
         Some(SpecularModel::Beckmann) => {
-            (1.0 - asset.material.mean_reflectance()) * asset.material.behind_surface()
+            (1.0 - material.mean_reflectance()) * material.behind_surface()
         }
         _ => 1.0,
     }

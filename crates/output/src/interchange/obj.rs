@@ -16,9 +16,18 @@ pub fn write(path: &Path, asset: &Asset, mtl: &str) -> io::Result<()> {
     write_obj(path, &head, &asset.mesh, &asset.uvs)
 }
 
+/// Files with the gloss of each texel.
+#[derive(Clone, Copy, Debug)]
+pub struct GlossFiles<'a> {
+    /// √α, grey, linear.
+    pub roughness: &'a str,
+    /// Reflectance at normal incidence as a part of the strongest's, grey, linear.
+    pub specular: &'a str,
+}
+
 /// The MTL file. `Pr` and `Pm` are the physically based extension; `Ks` and `Ns` say it to older programs.
-pub fn material(asset: &Asset, base_colour: &str) -> String {
-    let material = &asset.material;
+pub fn material(asset: &Asset, base_colour: &str, gloss: Option<GlossFiles<'_>>) -> String {
+    let material = &asset.strongest();
     let mut text =
         format!("# written by rekindle\nnewmtl {MATERIAL}\nKd 1 1 1\nmap_Kd {base_colour}\n");
     // Writing into a string can't fail.
@@ -35,5 +44,12 @@ pub fn material(asset: &Asset, base_colour: &str) -> String {
     } else {
         writeln!(text, "Ks 0 0 0\nPr 1\nPm 0\nNi 1\nillum 1")
     };
+    if let Some(GlossFiles {
+        roughness,
+        specular,
+    }) = gloss
+    {
+        let _ = writeln!(text, "map_Pr {roughness}\nmap_Ks {specular}");
+    }
     text
 }

@@ -297,7 +297,7 @@ fn cameras_come_back_from_their_file() {
 fn a_glb_reads_back_as_the_object_in_its_light() {
     let asset = asset();
     let png = textures::base_colour_png(&asset).unwrap();
-    let bytes = glb::glb(&asset, &png);
+    let bytes = glb::glb(&asset, &png, None);
     let file = gltf::Gltf::from_slice(&bytes).unwrap();
     let blob = file.blob.clone().unwrap();
     let primitive = file.meshes().next().unwrap().primitives().next().unwrap();

@@ -6,6 +6,7 @@ use std::path::Path;
 use glam::Vec3;
 
 use super::asset::Asset;
+use super::gauge::Material;
 use rekindle_base::staging::MAKER;
 use rekindle_relight::srgb;
 use rekindle_scene::hemisphere::Picture;
@@ -27,32 +28,95 @@ pub fn write_hdr(path: &Path, picture: &Picture) -> io::Result<()> {
 
 /// The base colour as the bytes of a PNG file: 8-bit sRGB, cut at 1.
 pub fn base_colour_png(asset: &Asset) -> io::Result<Vec<u8>> {
-    let width = asset.texture_width;
-    let height = asset.base_colour.len() as u32 / width.max(1);
-    let code = |v: f32| (255.0 * v).round() as u8;
     let bytes: Vec<u8> = asset
         .base_colour
         .iter()
         .flat_map(|&c| srgb(Vec3::from(c)).to_array().map(code))
         .collect();
+    png(asset, png::ColorType::Rgb, &bytes)
+}
+
+/// Roughness √α of each texel as a grey PNG file, linear.
+pub fn roughness_png(asset: &Asset) -> io::Result<Vec<u8>> {
+    let bytes: Vec<u8> = texels(asset)
+        .map(|k| code(asset.material_at(k).roughness()))
+        .collect();
+    png(asset, png::ColorType::Grayscale, &bytes)
+}
+
+/// Reflectance of each texel at normal incidence as a part of the strongest's, as a grey PNG file, linear.
+pub fn specular_png(asset: &Asset) -> io::Result<Vec<u8>> {
+    let bytes: Vec<u8> = specular_levels(asset).map(code).collect();
+    png(asset, png::ColorType::Grayscale, &bytes)
+}
+
+/// Both as glTF has them, linear: roughness in green, no metal in blue, the specular level in alpha.
+pub fn gltf_gloss_png(asset: &Asset) -> io::Result<Vec<u8>> {
+    let levels = texels(asset).zip(specular_levels(asset));
+    let bytes: Vec<u8> = levels
+        .flat_map(|(k, level)| [255, code(asset.material_at(k).roughness()), 0, code(level)])
+        .collect();
+    png(asset, png::ColorType::Rgba, &bytes)
+}
+
+/// Both as linear EXR: roughness in red, the specular level in green.
+pub fn write_gloss(path: &Path, asset: &Asset) -> io::Result<()> {
+    let levels = texels(asset).zip(specular_levels(asset));
+    let pixels: Vec<[f32; 3]> = levels
+        .map(|(k, level)| [asset.material_at(k).roughness(), level, 0.0])
+        .collect();
+    write_rgb(path, asset.texture_width, &pixels)
+}
+
+/// Where the part of this index is, as a white mask.
+pub fn mask_png(asset: &Asset, part: usize) -> io::Result<Vec<u8>> {
+    let own = asset.nearest_parts();
+    let bytes: Vec<u8> = own.iter().map(|&k| code(f32::from(k == part))).collect();
+    png(asset, png::ColorType::Grayscale, &bytes)
+}
+
+fn texels(asset: &Asset) -> std::ops::Range<usize> {
+    0..asset.base_colour.len()
+}
+
+fn specular_levels(asset: &Asset) -> impl Iterator<Item = f32> {
+    let strongest = asset.strongest().f0.max(f32::MIN_POSITIVE);
+    texels(asset).map(move |k| (asset.material_at(k).f0 / strongest).min(1.0))
+}
+
+/// Eight bits of a value from 0 to 1.
+fn code(v: f32) -> u8 {
+    (255.0 * v).round() as u8
+}
+
+/// A PNG file's bytes, of the texture's size.
+fn png(asset: &Asset, colours: png::ColorType, bytes: &[u8]) -> io::Result<Vec<u8>> {
+    let width = asset.texture_width;
+    let height = asset.base_colour.len() as u32 / width.max(1);
     let mut file = Vec::new();
     let mut encoder = png::Encoder::new(&mut file, width, height);
-    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_color(colours);
     encoder
         .add_text_chunk("Software".to_owned(), MAKER.to_owned())
         .map_err(io::Error::other)?;
     let mut writer = encoder.write_header().map_err(io::Error::other)?;
-    writer.write_image_data(&bytes).map_err(io::Error::other)?;
+    writer.write_image_data(bytes).map_err(io::Error::other)?;
     writer.finish().map_err(io::Error::other)?;
     Ok(file)
 }
 
-/// The base colour times a factor as the linear texture of an EXR file.
-pub fn write_base_colour(path: &Path, asset: &Asset, factor: f32) -> io::Result<()> {
-    let scaled: Vec<[f32; 3]> = asset
-        .base_colour
-        .iter()
-        .map(|c| c.map(|v| (v * factor).clamp(0.0, 1.0)))
+/// The base colour times a factor of the material there as the linear texture of an EXR file.
+pub fn write_base_colour(
+    path: &Path,
+    asset: &Asset,
+    factor: impl Fn(&Material) -> f32,
+) -> io::Result<()> {
+    let factors: Vec<f32> = (asset.parts.iter())
+        .map(|part| factor(&part.material))
+        .collect();
+    let parts = asset.nearest_parts();
+    let scaled: Vec<[f32; 3]> = (asset.base_colour.iter().zip(parts))
+        .map(|(c, part)| c.map(|v| (v * factors[part]).clamp(0.0, 1.0)))
         .collect();
     write_rgb(path, asset.texture_width, &scaled)
 }

@@ -9,12 +9,15 @@ use glam::{DMat4, Mat4, Quat, Vec3};
 
 use super::asset::Asset;
 use super::light_list::{ListedLamp, listed};
+use super::obj::GlossFiles;
 use rekindle_capture::Camera;
 
 /// Files that the stage names.
 pub struct Files<'a> {
     /// The base colour, PNG.
     pub base_colour: &'a str,
+    /// Roughness and specular level of each texel, where parts differ.
+    pub gloss: Option<GlossFiles<'a>>,
     /// The light that is not of near lamps, lat-long in USD's orientation.
     pub light: &'a str,
 }
@@ -25,7 +28,7 @@ pub fn stage(asset: &Asset, files: &Files) -> String {
         "#usda 1.0\n(\n    defaultPrim = \"World\"\n    metersPerUnit = 1\n    upAxis = \"Y\"\n)\n\ndef Xform \"World\"\n{\n",
     );
     mesh(&mut text, asset);
-    material(&mut text, asset, files.base_colour);
+    material(&mut text, asset, files);
     let _ = write!(
         text,
         "    def DomeLight \"Light\"\n    {{\n\
@@ -97,9 +100,36 @@ fn mesh(text: &mut String, asset: &Asset) {
     );
 }
 
-fn material(text: &mut String, asset: &Asset, base_colour: &str) {
+/// A node that reads a texture, clamped at the edge.
+fn texture(name: &str, file: &str, colours: &str, scale: f32) -> String {
+    format!(
+        "\n        def Shader \"{name}\"\n        {{\n\
+         \x20           uniform token info:id = \"UsdUVTexture\"\n\
+         \x20           asset inputs:file = @{file}@\n\
+         \x20           token inputs:sourceColorSpace = \"{colours}\"\n\
+         \x20           float4 inputs:scale = ({scale}, {scale}, {scale}, 1)\n\
+         \x20           token inputs:wrapS = \"clamp\"\n\
+         \x20           token inputs:wrapT = \"clamp\"\n\
+         \x20           float2 inputs:st.connect = </World/Material/Place.outputs:result>\n\
+         \x20           float outputs:r\n\
+         \x20           float3 outputs:rgb\n        }}\n"
+    )
+}
+
+/// The material with its textures.
+fn material(text: &mut String, asset: &Asset, files: &Files) {
     let material = &asset.material;
-    let reflection = if material.model.is_some() {
+    let mut textures = texture("BaseColour", files.base_colour, "sRGB", 1.0);
+    let mut roughness = format!("float inputs:roughness = {}", material.roughness());
+    let reflection = if let Some(gloss) = files.gloss {
+        textures += &texture("Roughness", gloss.roughness, "raw", 1.0);
+        textures += &texture("Specular", gloss.specular, "raw", asset.strongest().f0);
+        "float inputs:roughness.connect = </World/Material/Roughness.outputs:r>"
+            .clone_into(&mut roughness);
+        "int inputs:useSpecularWorkflow = 1\n            \
+         color3f inputs:specularColor.connect = </World/Material/Specular.outputs:rgb>"
+            .to_owned()
+    } else if material.model.is_some() {
         format!("float inputs:ior = {}", material.refractive_index())
     } else {
         "int inputs:useSpecularWorkflow = 1\n            color3f inputs:specularColor = (0, 0, 0)"
@@ -112,23 +142,15 @@ fn material(text: &mut String, asset: &Asset, base_colour: &str) {
          \x20       def Shader \"Surface\"\n        {{\n\
          \x20           uniform token info:id = \"UsdPreviewSurface\"\n\
          \x20           color3f inputs:diffuseColor.connect = </World/Material/BaseColour.outputs:rgb>\n\
-         \x20           float inputs:roughness = {}\n\
+         \x20           {roughness}\n\
          \x20           float inputs:metallic = 0\n\
          \x20           {reflection}\n\
-         \x20           token outputs:surface\n        }}\n\n\
-         \x20       def Shader \"BaseColour\"\n        {{\n\
-         \x20           uniform token info:id = \"UsdUVTexture\"\n\
-         \x20           asset inputs:file = @{base_colour}@\n\
-         \x20           token inputs:sourceColorSpace = \"sRGB\"\n\
-         \x20           token inputs:wrapS = \"clamp\"\n\
-         \x20           token inputs:wrapT = \"clamp\"\n\
-         \x20           float2 inputs:st.connect = </World/Material/Place.outputs:result>\n\
-         \x20           float3 outputs:rgb\n        }}\n\n\
+         \x20           token outputs:surface\n        }}\n\
+         {textures}\n\
          \x20       def Shader \"Place\"\n        {{\n\
          \x20           uniform token info:id = \"UsdPrimvarReader_float2\"\n\
          \x20           string inputs:varname = \"st\"\n\
          \x20           float2 outputs:result\n        }}\n    }}\n",
-        material.roughness(),
     );
 }
 

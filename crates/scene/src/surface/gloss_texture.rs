@@ -1,5 +1,7 @@
 //! The gloss of every texel.
 
+use std::collections::BTreeMap;
+
 use glam::Vec2;
 use rayon::prelude::*;
 
@@ -9,12 +11,16 @@ use crate::reflectance::Gloss;
 use glam::Vec3;
 use rekindle_capture::Mesh;
 
+/// Share of the texels that makes a gloss a part's own.
+const LEAST_PART: f32 = 0.005;
+
 /// How the lobe differs from the main one, texel by texel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GlossTexture {
     texels: Vec<Gloss>,
     /// Least and largest roughness of what reflects at all.
     roughness: [f32; 2],
+    strongest: f32,
 }
 
 impl GlossTexture {
@@ -26,6 +32,10 @@ impl GlossTexture {
         });
         Self {
             roughness: if ends[0] <= ends[1] { ends } else { [1.0; 2] },
+            strongest: texels
+                .iter()
+                .map(|gloss| gloss.strength)
+                .fold(0.0, f32::max),
             texels,
         }
     }
@@ -54,6 +64,34 @@ impl GlossTexture {
         &self.texels
     }
 
+    /// The glosses that parts of the surface have in common, with the share of the surface that is nearest to each, the
+    /// largest first. What lies between parts, where they run into each other, makes no part of its own.
+    pub fn parts(&self, atlas: &Atlas) -> Vec<(Gloss, f32)> {
+        /// Steps of a natural logarithm that tell glosses apart.
+        const STEPS: f32 = 200.0;
+        let step = |v: f32| (STEPS * v.max(1e-9).ln()).round() as i32;
+        let mut counts: BTreeMap<(i32, i32), (Gloss, usize)> = BTreeMap::new();
+        for texel in &atlas.texels {
+            let gloss = self.texels[texel.index as usize];
+            let key = (step(gloss.strength), step(gloss.roughness));
+            counts.entry(key).or_insert((gloss, 0)).1 += 1;
+        }
+        let least = (LEAST_PART * atlas.texels.len() as f32) as usize;
+        let mut parts: Vec<(Gloss, usize)> = counts.values().copied().collect();
+        parts.sort_by_key(|&(_, count)| std::cmp::Reverse(count));
+        let common = parts.iter().filter(|&&(_, count)| count > least).count();
+        let between = parts.split_off(common.max(1).min(parts.len()));
+        let glosses: Vec<Gloss> = parts.iter().map(|part| part.0).collect();
+        for (gloss, count) in between {
+            parts[gloss.nearest(&glosses)].1 += count;
+        }
+        let all = atlas.texels.len().max(1) as f32;
+        let shares = parts.into_iter();
+        shares
+            .map(|(gloss, count)| (gloss, count as f32 / all))
+            .collect()
+    }
+
     /// The least roughness of what reflects at all, as a multiple of the main one.
     pub fn narrowest(&self) -> f32 {
         self.roughness[0]
@@ -62,6 +100,11 @@ impl GlossTexture {
     /// The largest roughness of what reflects at all, as a multiple of the main one.
     pub fn widest(&self) -> f32 {
         self.roughness[1]
+    }
+
+    /// The largest strength, as a multiple of the main lobe's.
+    pub fn strongest(&self) -> f32 {
+        self.strongest
     }
 
     /// The gloss at a point of a triangle, bilinear, roughness weighted by what each texel reflects.

@@ -1,0 +1,157 @@
+//! The surface in words: its lobe, and the parts whose gloss differs.
+
+use std::f32::consts::SQRT_2;
+use std::fmt::Write as _;
+
+use super::Solution;
+use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
+
+/// Shares below this are not worth a word.
+const LEAST_SHARE: f32 = 0.005;
+
+/// A part of the surface with a gloss of its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePart {
+    /// Its lobe; the strength is a multiple of the main lobe's, and 0 where nothing is reflected.
+    pub brdf: Brdf,
+    /// Share of the surface, 0 to 1.
+    pub share: f32,
+}
+
+impl SurfacePart {
+    /// Roughness as other programs call it: the root of the lobe's width α = √2 σ, at most 1; 1 where nothing is reflected.
+    pub fn roughness(&self) -> f32 {
+        if self.brdf.strength > 0.0 {
+            (SQRT_2 * self.brdf.sigma).min(1.0).sqrt()
+        } else {
+            1.0
+        }
+    }
+
+    /// Whether it reflects at all.
+    pub fn is_glossy(&self) -> bool {
+        self.brdf.strength > 0.0
+    }
+}
+
+impl Solution {
+    /// The parts of the surface, the largest first: one where all is alike, none without a specular part.
+    pub fn parts(&self) -> Vec<SurfacePart> {
+        let Some(main) = self.brdf else {
+            return Vec::new();
+        };
+        let whole = || vec![(Gloss::MAIN, 1.0)];
+        let parts = (self.gloss.as_ref()).map_or_else(whole, |gloss| gloss.parts(&self.atlas));
+        let parts = parts.into_iter();
+        parts
+            .map(|(gloss, share)| SurfacePart {
+                brdf: main.at(gloss),
+                share,
+            })
+            .collect()
+    }
+
+    /// The surface in words, such as "GGX, roughness 0.30 ± 0.01 on 62 % of the surface, 0.45 on 30 %, no gloss on 8 %";
+    /// roughness is that of other programs.
+    pub fn surface_in_words(&self) -> String {
+        let Some(main) = self.brdf else {
+            return "purely diffuse".to_owned();
+        };
+        let model = match main.model {
+            SpecularModel::Paper => "the paper's lobe",
+            SpecularModel::Beckmann => "Beckmann",
+            SpecularModel::Ggx => "GGX",
+            SpecularModel::Metal => "metal (GGX)",
+        };
+        let parts = self.parts();
+        let told = parts.iter().filter(|part| part.share >= LEAST_SHARE);
+        let several = told.clone().count() > 1;
+        let mut texts: Vec<String> = told.map(|part| self.part_in_words(part, several)).collect();
+        if let Some(first) = texts.first_mut().filter(|_| several) {
+            first.push_str(" of the surface");
+        }
+        format!("{model}, {}", texts.join(", "))
+    }
+
+    fn part_in_words(&self, part: &SurfacePart, several: bool) -> String {
+        let share = 100.0 * part.share;
+        if !part.is_glossy() {
+            return format!("no gloss on {share:.0} %");
+        }
+        let roughness = part.roughness();
+        let is_main =
+            part.brdf.strength == 1.0 && Some(part.brdf.sigma) == self.brdf.map(|b| b.sigma);
+        // Writing into a string can't fail.
+        let mut text = format!("roughness {roughness:.2}");
+        if is_main && let Some([low, high]) = self.sigma_interval95 {
+            // √σ moves by half of what σ does, in parts of it.
+            let error = 0.25 * roughness * (high - low) / part.brdf.sigma;
+            let _ = write!(text, " ± {}", two_digits(error));
+        }
+        if !is_main {
+            let _ = write!(text, " at {:.2} times the strength", part.brdf.strength);
+        }
+        if several {
+            let _ = write!(text, " on {share:.0} %");
+        }
+        text
+    }
+}
+
+/// A small error with no more digits than it is worth.
+fn two_digits(error: f32) -> String {
+    if error >= 0.005 {
+        format!("{error:.2}")
+    } else {
+        format!("{:.4}", error.max(1e-4))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::example;
+    use super::*;
+    use rekindle_scene::surface::GlossTexture;
+
+    #[test]
+    fn parts_are_told_with_their_shares() {
+        let mut solution = example();
+        solution.brdf = Some(Brdf::new(SpecularModel::Ggx, 0.0636));
+        solution.sigma_interval95 = Some([0.0594, 0.0678]);
+        assert_eq!(solution.surface_in_words(), "GGX, roughness 0.30 ± 0.01");
+
+        let mut texels = vec![Gloss::MAIN; solution.atlas.len()];
+        let used: Vec<usize> = (solution.atlas.texels.iter())
+            .map(|texel| texel.index as usize)
+            .collect();
+        let (matt, dull) = (used.len() / 10, used.len() * 4 / 10);
+        for &k in &used[..matt] {
+            texels[k].strength = 0.0;
+        }
+        for &k in &used[matt..dull] {
+            texels[k] = Gloss {
+                roughness: 2.25,
+                strength: 0.5,
+            };
+        }
+        // A texel between two parts makes no part.
+        texels[used[dull]] = Gloss {
+            roughness: 1.5,
+            strength: 0.9,
+        };
+        solution.gloss = Some(GlossTexture::new(texels));
+        assert_eq!(
+            solution.surface_in_words(),
+            "GGX, roughness 0.30 ± 0.01 on 60 % of the surface, roughness 0.45 at 0.50 times the strength on 30 %, no gloss on \
+             10 %"
+        );
+    }
+
+    #[test]
+    fn without_a_specular_part_there_are_no_parts() {
+        let mut solution = example();
+        solution.brdf = None;
+        assert!(solution.parts().is_empty());
+        assert_eq!(solution.surface_in_words(), "purely diffuse");
+    }
+}
