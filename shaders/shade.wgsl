@@ -226,6 +226,8 @@ const IRRADIANCE: u32 = 4u;
 const NORMALS: u32 = 5u;
 const SHADOW: u32 = 6u;
 const CONFIDENCE: u32 = 7u;
+/// Roughness of a part, as a multiple of the main lobe's, whose logarithm is stored as 0.
+const LEAST_GLOSS_ROUGHNESS: f32 = 0.01;
 const ROUGHNESS: u32 = 8u;
 const STRENGTH: u32 = 9u;
 const STORED: u32 = 1u;
@@ -275,6 +277,12 @@ fn shown_visibility() -> f32 {
     return lamp_words[at / 4u][at % 4u];
 }
 
+/// Roughness and strength as multiples of the main lobe's; between texels roughness is weighted by strength.
+fn gloss_at(uv: vec2f) -> vec2f {
+    let stored = textureSampleLevel(gloss_texture, linear_sampler, uv, 0.0).rg;
+    return vec2f(LEAST_GLOSS_ROUGHNESS * exp(stored.x / max(stored.y, 1e-6)), stored.y);
+}
+
 /// √α of the lobe, as other programs call roughness; 1 where nothing is reflected.
 fn shown_roughness(gloss: vec2f) -> f32 {
     if (frame.model == NO_LOBE || gloss.y <= 0.0) {
@@ -297,7 +305,7 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
     if (frame.mode == ALBEDO) {
         return albedo;
     }
-    let gloss = textureSampleLevel(gloss_texture, linear_sampler, surface.uv, 0.0).rg;
+    let gloss = gloss_at(surface.uv);
     if (frame.mode == ROUGHNESS) {
         return vec3f(shown_roughness(gloss));
     }

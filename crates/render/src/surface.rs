@@ -282,7 +282,11 @@ impl Surface {
 
     /// Copies the gloss of all texels to the device.
     fn upload_gloss(&self, gpu: &Gpu, size: [u32; 2]) -> wgpu::TextureView {
-        let of = |gloss: &Gloss| [gloss.roughness, gloss.strength, 0.0];
+        // So that what lies between texels is [`Gloss::mean`]. Textures hold nothing negative.
+        let of = |gloss: &Gloss| {
+            let log = (gloss.roughness / LEAST_GLOSS_ROUGHNESS).ln().max(0.0);
+            [log * gloss.strength, gloss.strength, 0.0]
+        };
         match &self.solution.gloss {
             Some(gloss) => {
                 let texels: Vec<[f32; 3]> = gloss.texels().iter().map(of).collect();
@@ -377,6 +381,9 @@ pub(super) fn to_half(colour: Vec3, alpha: f32) -> [f16; 4] {
 pub(super) fn bits(halves: &[[f16; 4]]) -> Vec<[u16; 4]> {
     halves.iter().map(|h| h.map(f16::to_bits)).collect()
 }
+
+/// Roughness of a part, as a multiple of the main lobe's, whose logarithm is stored as 0; the shader has the same.
+const LEAST_GLOSS_ROUGHNESS: f32 = 0.01;
 
 /// A unit that can be divided by.
 fn positive(value: f32) -> f32 {

@@ -41,7 +41,8 @@ impl Solution {
             return Vec::new();
         };
         let whole = || vec![(Gloss::MAIN, 1.0)];
-        let parts = (self.gloss.as_ref()).map_or_else(whole, |gloss| gloss.parts(&self.atlas));
+        let parts =
+            (self.gloss.as_ref()).map_or_else(whole, |gloss| gloss.parts(&self.mesh, &self.atlas));
         let parts = parts.into_iter();
         parts
             .map(|(gloss, share)| SurfacePart {
@@ -111,7 +112,8 @@ fn two_digits(error: f32) -> String {
 mod tests {
     use super::super::tests::example;
     use super::*;
-    use rekindle_scene::surface::GlossTexture;
+    use glam::Vec2;
+    use rekindle_scene::surface::{Atlas, GlossTexture};
 
     #[test]
     fn parts_are_told_with_their_shares() {
@@ -120,25 +122,17 @@ mod tests {
         solution.sigma_interval95 = Some([0.0594, 0.0678]);
         assert_eq!(solution.surface_in_words(), "GGX, roughness 0.30 ± 0.01");
 
-        let mut texels = vec![Gloss::MAIN; solution.atlas.len()];
-        let used: Vec<usize> = (solution.atlas.texels.iter())
-            .map(|texel| texel.index as usize)
-            .collect();
-        let (matt, dull) = (used.len() / 10, used.len() * 4 / 10);
-        for &k in &used[..matt] {
-            texels[k].strength = 0.0;
-        }
-        for &k in &used[matt..dull] {
-            texels[k] = Gloss {
-                roughness: 2.25,
-                strength: 0.5,
-            };
-        }
-        // A texel between two parts makes no part.
-        texels[used[dull]] = Gloss {
-            roughness: 1.5,
-            strength: 0.9,
-        };
+        // Ten triangles of one size, each with a texel of its own.
+        let count = 10;
+        solution.mesh.triangles = vec![[0, 2, 1]; count];
+        let at = |k: usize| [Vec2::new(k as f32 + 0.5, 0.5); 3];
+        solution.atlas = Atlas::from_corners(count as u32, 1, (0..count).map(at).collect(), false);
+        let mut texels = vec![Gloss::MAIN; count];
+        texels[0].strength = 0.0;
+        texels[1..4].fill(Gloss {
+            roughness: 2.25,
+            strength: 0.5,
+        });
         solution.gloss = Some(GlossTexture::new(texels));
         assert_eq!(
             solution.surface_in_words(),

@@ -110,7 +110,7 @@ impl Asset {
             base_colour: base_colour(solution, &material),
             material,
             parts: match &solution.gloss {
-                Some(gloss) => (gloss.parts(&solution.atlas).into_iter())
+                Some(gloss) => (gloss.parts(&solution.mesh, &solution.atlas).into_iter())
                     .map(|(gloss, share)| Part {
                         gloss,
                         material: material.at(gloss),

@@ -11,8 +11,11 @@ use crate::reflectance::Gloss;
 use glam::Vec3;
 use rekindle_capture::Mesh;
 
-/// Share of the texels that makes a gloss a part's own.
-const LEAST_PART: f32 = 0.005;
+/// Share of the surface that makes a gloss a part's own.
+const LEAST_PART: f64 = 0.005;
+/// Triangles that are looked at for the parts' shares, about, and where in them: weights of the second and third corner.
+const LOOKED_AT: usize = 100_000;
+const WITHIN: [[f32; 2]; 4] = [[1.0 / 3.0; 2], [0.1, 0.1], [0.8, 0.1], [0.1, 0.8]];
 
 /// How the lobe differs from the main one, texel by texel.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,31 +67,37 @@ impl GlossTexture {
         &self.texels
     }
 
-    /// The glosses that parts of the surface have in common, with the share of the surface that is nearest to each, the
-    /// largest first. What lies between parts, where they run into each other, makes no part of its own.
-    pub fn parts(&self, atlas: &Atlas) -> Vec<(Gloss, f32)> {
+    /// The glosses that parts of the surface have in common, with the share of its area that is nearest to each, the largest
+    /// first. What lies between parts, where they run into each other, makes no part of its own.
+    pub fn parts(&self, mesh: &Mesh, atlas: &Atlas) -> Vec<(Gloss, f32)> {
         /// Steps of a natural logarithm that tell glosses apart.
         const STEPS: f32 = 200.0;
         let step = |v: f32| (STEPS * v.max(1e-9).ln()).round() as i32;
-        let mut counts: BTreeMap<(i32, i32), (Gloss, usize)> = BTreeMap::new();
-        for texel in &atlas.texels {
-            let gloss = self.texels[texel.index as usize];
-            let key = (step(gloss.strength), step(gloss.roughness));
-            counts.entry(key).or_insert((gloss, 0)).1 += 1;
+        let mut areas: BTreeMap<(i32, i32), (Gloss, f64)> = BTreeMap::new();
+        let mut all = 0.0;
+        let stride = mesh.triangles.len().div_ceil(LOOKED_AT).max(1);
+        for triangle in (0..mesh.triangles.len()).step_by(stride) {
+            let [a, b, c] = mesh.triangles[triangle].map(|v| mesh.positions[v as usize]);
+            let area = f64::from((b - a).cross(c - a).length());
+            for within in WITHIN {
+                let gloss = self.at(atlas, triangle as u32, within.into());
+                let key = (step(gloss.strength), step(gloss.roughness));
+                areas.entry(key).or_insert((gloss, 0.0)).1 += area;
+                all += area;
+            }
         }
-        let least = (LEAST_PART * atlas.texels.len() as f32) as usize;
-        let mut parts: Vec<(Gloss, usize)> = counts.values().copied().collect();
-        parts.sort_by_key(|&(_, count)| std::cmp::Reverse(count));
-        let common = parts.iter().filter(|&&(_, count)| count > least).count();
+        let mut parts: Vec<(Gloss, f64)> = areas.into_values().collect();
+        parts.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let least = LEAST_PART * all;
+        let common = parts.iter().filter(|&&(_, area)| area > least).count();
         let between = parts.split_off(common.max(1).min(parts.len()));
         let glosses: Vec<Gloss> = parts.iter().map(|part| part.0).collect();
-        for (gloss, count) in between {
-            parts[gloss.nearest(&glosses)].1 += count;
+        for (gloss, area) in between {
+            parts[gloss.nearest(&glosses)].1 += area;
         }
-        let all = atlas.texels.len().max(1) as f32;
         let shares = parts.into_iter();
         shares
-            .map(|(gloss, count)| (gloss, count as f32 / all))
+            .map(|(gloss, area)| (gloss, (area / all) as f32))
             .collect()
     }
 
