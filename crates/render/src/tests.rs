@@ -305,20 +305,21 @@ fn settled_pictures_are_the_reference_renderers() {
 fn patched(brdf: Brdf) -> Solution {
     let mut solution = solved(Some(brdf), None);
     let atlas = &solution.atlas;
+    let gloss = |roughness, strength| Gloss {
+        roughness,
+        strength,
+    };
+    let parts = [gloss(0.5, 1.3), gloss(1.0, 0.0), gloss(1.5, 0.8)];
     let mut texels = vec![Gloss::MAIN; atlas.len()];
     for t in &atlas.texels {
         let height = solution.mesh.point(t.triangle, t.barycentric).position.y;
-        let gloss = |roughness, strength| Gloss {
-            roughness,
-            strength,
-        };
         texels[t.index as usize] = match height {
-            h if h > 0.6 => gloss(0.5, 1.3),
-            h if h > 0.2 => gloss(1.0, 0.0),
-            _ => gloss(1.5, 0.8),
+            h if h > 0.6 => parts[0],
+            h if h > 0.2 => parts[1],
+            _ => parts[2],
         };
     }
-    solution.gloss = Some(GlossTexture::new(texels));
+    solution.gloss = Some(GlossTexture::new(parts.to_vec(), texels));
     solution
 }
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use rekindle_estimate::estimate::{Diagnostics, Iteration, Method};
 use rekindle_estimate::registration::Correction;
-use rekindle_scene::reflectance::SpecularModel;
+use rekindle_scene::reflectance::{Gloss, SpecularModel};
 use rekindle_scene::shortcuts::LeftOut;
 
 /// What `format` says.
@@ -50,9 +50,9 @@ pub(super) struct Manifest {
     pub(super) corrections: Vec<Correction>,
     pub(super) sigma: Option<f32>,
     pub(super) sigma_interval95: Option<[f32; 2]>,
-    /// Whether there are textures of the gloss.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub(super) gloss_textures: bool,
+    /// The glosses of the parts, where they differ; there are textures then.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) gloss_parts: Vec<Gloss>,
     pub(super) hemisphere: Hemisphere,
     pub(super) lights: Vec<Light>,
     /// Radiance from every direction alike, RGB, K_S-scaled.

@@ -355,7 +355,8 @@ impl Solution {
             corrections: self.corrections.clone(),
             sigma: self.brdf.map(|b| b.sigma),
             sigma_interval95: self.sigma_interval95,
-            gloss_textures: self.gloss.is_some(),
+            gloss_parts: (self.gloss.as_ref())
+                .map_or_else(Vec::new, |gloss| gloss.glosses().to_vec()),
             hemisphere: Hemisphere {
                 frequency: self.grid.frequency,
                 nodes: self.grid.directions.len(),
@@ -432,14 +433,17 @@ impl Solution {
             exr_file::read_gray(&folder.join(name), width, height)
                 .map_err(|what| damaged(name, what))
         };
-        let gloss = match manifest.sigma.filter(|_| manifest.gloss_textures) {
+        let gloss = match manifest.sigma.filter(|_| !manifest.gloss_parts.is_empty()) {
             Some(sigma) => {
                 let texels = gray(ROUGHNESS)?.into_iter().zip(gray(STRENGTH)?);
-                let gloss = |(own, strength): (f32, f32)| Gloss {
-                    roughness: (own / sigma).clamp(MIN_GLOSS_ROUGHNESS, 1.0 / MIN_GLOSS_ROUGHNESS),
+                let gloss = |(roughness, strength): (f32, f32)| Gloss {
+                    roughness: roughness.clamp(MIN_GLOSS_ROUGHNESS, 1.0 / MIN_GLOSS_ROUGHNESS),
                     strength: strength.max(0.0),
                 };
-                Some(GlossTexture::new(texels.map(gloss).collect()))
+                let parts = manifest.gloss_parts.iter();
+                let parts = parts.map(|part| gloss((part.roughness, part.strength)));
+                let texels = texels.map(|(own, strength)| gloss((own / sigma, strength)));
+                Some(GlossTexture::new(parts.collect(), texels.collect()))
             }
             None => None,
         };
@@ -1012,7 +1016,8 @@ mod tests {
             strength: [1.0, 0.0, 1.25][k % 3],
         };
         let texels = (0..solution.atlas.len()).map(gloss).collect();
-        solution.gloss = Some(GlossTexture::new(texels));
+        let parts = (0..2).map(gloss).collect();
+        solution.gloss = Some(GlossTexture::new(parts, texels));
         solution.save(&path).unwrap();
         let found = Solution::load(&path).unwrap().gloss.unwrap();
         for (k, found) in found.texels().iter().enumerate() {

@@ -128,12 +128,22 @@ mod tests {
         let at = |k: usize| [Vec2::new(k as f32 + 0.5, 0.5); 3];
         solution.atlas = Atlas::from_corners(count as u32, 1, (0..count).map(at).collect(), false);
         let mut texels = vec![Gloss::MAIN; count];
-        texels[0].strength = 0.0;
-        texels[1..4].fill(Gloss {
+        let matt = Gloss {
+            strength: 0.0,
+            ..Gloss::MAIN
+        };
+        let dull = Gloss {
             roughness: 2.25,
             strength: 0.5,
-        });
-        solution.gloss = Some(GlossTexture::new(texels));
+        };
+        texels[0] = matt;
+        texels[1..3].fill(dull);
+        // What lies between two parts makes no part.
+        texels[3] = Gloss {
+            roughness: 2.0,
+            strength: 0.6,
+        };
+        solution.gloss = Some(GlossTexture::new(vec![Gloss::MAIN, dull, matt], texels));
         assert_eq!(
             solution.surface_in_words(),
             "GGX, roughness 0.30 ± 0.01 on 60 % of the surface, roughness 0.45 at 0.50 times the strength on 30 %, no gloss on \

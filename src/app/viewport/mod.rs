@@ -827,6 +827,7 @@ impl Viewport {
         egui::ComboBox::from_id_salt("mode")
             .selected_text(name(self.look.mode).0)
             .width(112.0)
+            .height(400.0)
             .show_ui(ui, |ui| {
                 for mode in [
                     Mode::Beauty,

@@ -1,7 +1,5 @@
 //! The gloss of every texel.
 
-use std::collections::BTreeMap;
-
 use glam::Vec2;
 use rayon::prelude::*;
 
@@ -11,8 +9,6 @@ use crate::reflectance::Gloss;
 use glam::Vec3;
 use rekindle_capture::Mesh;
 
-/// Share of the surface that makes a gloss a part's own.
-const LEAST_PART: f64 = 0.005;
 /// Triangles that are looked at for the parts' shares, about, and where in them: weights of the second and third corner.
 const LOOKED_AT: usize = 100_000;
 const WITHIN: [[f32; 2]; 4] = [[1.0 / 3.0; 2], [0.1, 0.1], [0.8, 0.1], [0.1, 0.8]];
@@ -20,6 +16,8 @@ const WITHIN: [[f32; 2]; 4] = [[1.0 / 3.0; 2], [0.1, 0.1], [0.8, 0.1], [0.1, 0.8
 /// How the lobe differs from the main one, texel by texel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GlossTexture {
+    /// Those of the parts, at least one; texels between parts have others.
+    parts: Vec<Gloss>,
     texels: Vec<Gloss>,
     /// Least and largest roughness of what reflects at all.
     roughness: [f32; 2],
@@ -27,8 +25,8 @@ pub struct GlossTexture {
 }
 
 impl GlossTexture {
-    /// The glosses of all texels, row by row.
-    pub fn new(texels: Vec<Gloss>) -> Self {
+    /// The glosses of the parts, and those of all texels, row by row.
+    pub fn new(parts: Vec<Gloss>, texels: Vec<Gloss>) -> Self {
         let shown = texels.iter().filter(|gloss| gloss.strength > 0.0);
         let ends = shown.fold([f32::INFINITY, 0.0_f32], |[least, most], gloss| {
             [least.min(gloss.roughness), most.max(gloss.roughness)]
@@ -40,6 +38,7 @@ impl GlossTexture {
                 .map(|gloss| gloss.strength)
                 .fold(0.0, f32::max),
             texels,
+            parts,
         }
     }
 
@@ -59,7 +58,7 @@ impl GlossTexture {
         for (texel, gloss) in atlas.texels.iter().zip(glosses) {
             texels[texel.index as usize] = gloss;
         }
-        Self::new(texels)
+        Self::new(parts.glosses.clone(), texels)
     }
 
     /// The glosses of all texels, row by row.
@@ -67,38 +66,29 @@ impl GlossTexture {
         &self.texels
     }
 
-    /// The glosses that parts of the surface have in common, with the share of its area that is nearest to each, the largest
-    /// first. What lies between parts, where they run into each other, makes no part of its own.
+    /// The parts' glosses, with the share of the surface's area that is nearest to each, the largest first.
     pub fn parts(&self, mesh: &Mesh, atlas: &Atlas) -> Vec<(Gloss, f32)> {
-        /// Steps of a natural logarithm that tell glosses apart.
-        const STEPS: f32 = 200.0;
-        let step = |v: f32| (STEPS * v.max(1e-9).ln()).round() as i32;
-        let mut areas: BTreeMap<(i32, i32), (Gloss, f64)> = BTreeMap::new();
-        let mut all = 0.0;
+        let mut areas = vec![0.0_f64; self.parts.len()];
         let stride = mesh.triangles.len().div_ceil(LOOKED_AT).max(1);
         for triangle in (0..mesh.triangles.len()).step_by(stride) {
             let [a, b, c] = mesh.triangles[triangle].map(|v| mesh.positions[v as usize]);
             let area = f64::from((b - a).cross(c - a).length());
             for within in WITHIN {
                 let gloss = self.at(atlas, triangle as u32, within.into());
-                let key = (step(gloss.strength), step(gloss.roughness));
-                areas.entry(key).or_insert((gloss, 0.0)).1 += area;
-                all += area;
+                areas[gloss.nearest(&self.parts)] += area;
             }
         }
-        let mut parts: Vec<(Gloss, f64)> = areas.into_values().collect();
+        let all = areas.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        let mut parts: Vec<(Gloss, f32)> = (self.parts.iter().zip(areas))
+            .map(|(&gloss, area)| (gloss, (area / all) as f32))
+            .collect();
         parts.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let least = LEAST_PART * all;
-        let common = parts.iter().filter(|&&(_, area)| area > least).count();
-        let between = parts.split_off(common.max(1).min(parts.len()));
-        let glosses: Vec<Gloss> = parts.iter().map(|part| part.0).collect();
-        for (gloss, area) in between {
-            parts[gloss.nearest(&glosses)].1 += area;
-        }
-        let shares = parts.into_iter();
-        shares
-            .map(|(gloss, area)| (gloss, (area / all) as f32))
-            .collect()
+        parts
+    }
+
+    /// The parts' glosses.
+    pub fn glosses(&self) -> &[Gloss] {
+        &self.parts
     }
 
     /// The least roughness of what reflects at all, as a multiple of the main one.
