@@ -98,7 +98,10 @@ impl Gloss {
             self.strength.min(other.strength),
             self.strength.max(other.strength),
         ];
-        let alike = least / most.max(f32::MIN_POSITIVE);
+        if most <= 0.0 {
+            return 0.0;
+        }
+        let alike = least / most;
         alike * (self.roughness / other.roughness).ln().abs() + (1.0 - alike)
     }
 
