@@ -127,9 +127,10 @@ pub fn not_sharp(coarse: &CoarseFit<'_>) -> Option<String> {
     (broad || coarse.sharpness < LEAST_SHARPNESS || open()).then(|| NO_DETAIL.to_owned())
 }
 
-/// Whether a coarse fit leaves so much that the normals are probably off by more than a highlight is wide: sound captures
+/// Whether a coarse fit leaves so much that either the gloss differs from place to place or the normals are off by more than a
+/// highlight is wide: sound captures
 /// leave up to 0.14, meshes decimated tenfold 0.62 and more.
-pub fn surface_too_coarse(state: &State<'_>) -> bool {
+pub fn leaves_much(state: &State<'_>) -> bool {
     state.unexplained_share() > MOST_UNEXPLAINED
 }
 

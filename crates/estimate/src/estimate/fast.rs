@@ -158,11 +158,16 @@ pub struct Watch<'w> {
     pub observer: &'w mut dyn Observer,
 }
 
-/// Points for the coarsest cells; see [`Solver::coarse_observations`].
-fn coarse_colours(seen: &Seen<'_>, scale: Option<f32>, stop: &AtomicBool) -> Observations {
+/// Points spread over everything seen, about `count`; `scale` is the radiance that counts as 1, if it has been chosen already.
+fn spread_points(
+    seen: &Seen<'_>,
+    count: usize,
+    scale: Option<f32>,
+    stop: &AtomicBool,
+) -> Observations {
     let sampling = Sampling {
-        candidates: COARSE_POINTS,
-        limit: COARSE_POINTS,
+        candidates: count,
+        limit: count,
         keep: &|_, _, _| true,
         scale,
         stop,
@@ -177,12 +182,17 @@ impl Solver<'_> {
         scale: Option<f32>,
         stop: &AtomicBool,
     ) -> Observations {
-        coarse_colours(seen, scale, stop).to_gray()
+        spread_points(seen, COARSE_POINTS, scale, stop).to_gray()
     }
 
     /// [`Solver::coarse`] in colour.
     pub fn coarse_colours(&self) -> Observations {
-        coarse_colours(&self.seen, Some(self.coarse.scale), self.stop)
+        self.colours(COARSE_POINTS)
+    }
+
+    /// About `count` points spread over everything seen, in colour.
+    pub fn colours(&self, count: usize) -> Observations {
+        spread_points(&self.seen, count, Some(self.coarse.scale), self.stop)
     }
 
     /// The best of [`SIGMAS`] on the coarsest cells. Where another model's roughness is known, only those near it are looked

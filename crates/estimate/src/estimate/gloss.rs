@@ -20,7 +20,7 @@ use super::fast::Solver;
 use super::observations::{Observations, Point, Sampling, Seen};
 use super::state::State;
 use super::suspects::signed_ranks;
-use super::weights::{deviation, eliminate, magnitude, median};
+use super::weights::{deviation, eliminate, log_diffuse, magnitude, median};
 use rekindle_scene::reflectance::{Brdf, Gloss};
 use rekindle_scene::surface::{GlossParts, PartPoint, likeness};
 
@@ -56,7 +56,7 @@ const STEPS: usize = 8;
 const SURE: f64 = 3.0;
 /// … and the part of what fewer leave that it may. Interreflection, which no gloss explains, was lowered to 94 and 98 %, at
 /// the cost of the fit as a whole; patches of two roughnesses leave 68 to 75 %.
-const WORTH: f64 = 0.9;
+pub const WORTH: f64 = 0.9;
 /// Standard deviations from which on a residual counts linearly.
 const HUBER: f32 = 1.345;
 /// Median of a chi-square of one degree of freedom.
@@ -99,6 +99,16 @@ impl Evidence {
         kinds
             .min_by(|a, b| a.left(self).total_cmp(&b.left(self)))
             .unwrap_or(NO_GLOSS)
+    }
+
+    /// The kind that leaves least, or none where that leaves hardly more.
+    fn kind(&self) -> Kind {
+        let best = self.best_kind();
+        if best.left(self) < WORTH * self.all {
+            best
+        } else {
+            NO_GLOSS
+        }
     }
 
     fn sum<'e>(evidence: impl Iterator<Item = &'e Self>) -> Self {
@@ -212,10 +222,15 @@ impl Solver<'_> {
         }
         let parts = board.walk(&kinds, |_| true);
         let glosses = refined(&lit, &parts, &kinds);
-        let count = |k: usize| parts.iter().filter(|part| **part == k).count();
+        // The one that explains most.
+        let explained = |k: usize| -> f64 {
+            let own = board.evidence.iter().zip(&parts);
+            let own = own.filter(|(_, part)| **part == k);
+            own.map(|(e, _)| e.all - kinds[k].left(e)).sum()
+        };
         let main = (0..glosses.len())
             .filter(|&k| glosses[k].strength > 0.0)
-            .max_by_key(|&k| count(k))?;
+            .max_by(|&a, &b| explained(a).total_cmp(&explained(b)))?;
         let main = glosses[main];
         let of_main = |gloss: Gloss| Gloss {
             roughness: gloss.roughness / main.roughness,
@@ -240,7 +255,7 @@ impl Solver<'_> {
                 parts: Some(parts),
                 ..self.seen
             },
-            coarse: self.coarse.clone(),
+            coarse: self.coarse.of_parts(parts),
             ..*self
         }
     }
@@ -354,7 +369,8 @@ impl Board {
                 }
             }
         }
-        let colours = log_colours(observations, lit);
+        let shown = lit.design.predict_values(&lit.brdf, &lit.radiance);
+        let colours = log_diffuse(observations, &lit.brdf, &lit.weights, &shown);
         let (bonds, contrast) = bonds(observations, &colours);
         let left = |(point, evidence): (&Point, &Evidence)| {
             let left = evidence.best_kind().left(evidence);
@@ -400,7 +416,7 @@ impl Board {
                 for (k, kind) in more.iter_mut().enumerate() {
                     let own = self.evidence.iter().zip(&parts);
                     let own = own.filter(|(_, part)| **part == k).map(|(e, _)| e);
-                    *kind = Evidence::sum(own).best_kind();
+                    *kind = Evidence::sum(own).kind();
                 }
             }
             if !self.is_better(&kinds, &more) {
@@ -557,26 +573,8 @@ fn weights(observations: &Observations, noise: f32) -> Vec<f32> {
     weights
 }
 
-/// Logarithm of each point's diffuse radiance under the main lobe.
-fn log_colours(observations: &Observations, lit: &Lit<'_>) -> Vec<Vec3> {
-    let shown = lit.design.predict_values(&lit.brdf, &lit.radiance);
-    let colour = |point: &Point| {
-        let (mut sum, mut total) = (Vec3::ZERO, 0.0);
-        for k in point.rows.clone() {
-            let row = &observations.rows[k];
-            let through = lit.brdf.diffuse_exit(row.cos_view);
-            let diffuse = Vec3::from(row.radiance) - Vec3::from(shown[k]);
-            sum += lit.weights[k] * through * diffuse;
-            total += lit.weights[k] * through * through;
-        }
-        let colour = (sum / total.max(f32::MIN_POSITIVE)).max(Vec3::splat(1e-4));
-        Vec3::from(colour.to_array().map(f32::ln))
-    };
-    observations.points.iter().map(colour).collect()
-}
-
 /// Who lies beside each point, with bonds that colours weaken, and the contrast that does.
-fn bonds(observations: &Observations, colours: &[Vec3]) -> (Vec<Vec<(u32, f32)>>, f32) {
+pub fn bonds(observations: &Observations, colours: &[Vec3]) -> (Vec<Vec<(u32, f32)>>, f32) {
     let points = &observations.points;
     let placed = points.iter().enumerate();
     let placed = placed.map(|(i, p)| GeomWithData::new(p.position.to_array(), i as u32));

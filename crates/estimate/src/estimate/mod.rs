@@ -22,6 +22,7 @@ mod observer;
 mod relief;
 mod spread;
 mod state;
+mod strengths;
 mod support;
 mod suspects;
 mod total_variation;
@@ -272,7 +273,24 @@ fn run(
         iterations: &mut result.convergence,
         observer,
     };
-    let (coarse, mut because) = choose(&solver, params.specular, &SpecularModel::ALL, &mut watch)?;
+    let (coarse, because) = choose(&solver, params.specular, &SpecularModel::ALL, &mut watch)?;
+    let patches = patches(&solver, &coarse, params.specular, &mut watch)?;
+    let parted = patches.as_ref().map(|parts| solver.parted(parts));
+    let on_patches = match &parted {
+        Some(solver) => Some(choose(
+            solver,
+            params.specular,
+            &SpecularModel::ALL,
+            &mut watch,
+        )?),
+        None => None,
+    };
+    let (solver, coarse, because) = match (&parted, on_patches) {
+        (Some(parted), Some((fit, because))) if explains_better(&fit, &coarse) => {
+            (parted, fit, because)
+        }
+        _ => (&solver, coarse, because),
+    };
     let refused = diagnose::no_specular(&coarse.state).or_else(|| diagnose::not_sharp(&coarse));
     if let Some(reason) = refused {
         result.diagnostics.warnings.push(reason);
@@ -296,35 +314,85 @@ fn run(
         };
         return run(&input, params, shortcuts, watcher, start);
     }
-    let refined = if diagnose::surface_too_coarse(&coarse.state) {
-        relief::refine(&solver, params.specular, &mut watch)?
-    } else {
-        None
-    };
-    let on_refined = match &refined {
-        Some(surface) => fit_on(surface, &solver, &coarse, params.specular, &mut watch)?,
-        None => None,
-    };
-    let fit = if let Some((fit, reason)) = on_refined {
-        because = reason;
-        result.refined = refined;
-        fit
-    } else {
-        finish(&solver, &coarse, &mut watch)?
-    };
-    result.chosen_because = because;
+    let ending = end(solver, &coarse, because, params.specular, &mut watch)?;
     let ended = watch.observer.enough();
-    let suspicion = if !ended && diagnose::is_middling(&fit.misfit) {
-        solver.suspicion(&coarse.state)?
-    } else {
-        None
-    };
-    accept(&mut result, &solver, fit, suspicion.as_ref());
+    result.chosen_because = ending.because;
+    result.refined = ending.refined;
+    accept(&mut result, solver, ending.fit, ending.suspicion.as_ref());
     if ended {
         let warnings = &mut result.diagnostics.warnings;
         warnings.push(diagnose::ENDED_EARLY.to_owned());
     }
     Ok(result)
+}
+
+/// What a coarse fit comes to.
+struct Ending {
+    fit: Fit,
+    because: String,
+    refined: Option<RefinedSurface>,
+    suspicion: Option<Suspicion>,
+}
+
+/// Goes on from a coarse fit, chosen `because`, to the end, on a refined surface where the mesh is too coarse.
+fn end(
+    solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    because: String,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Ending, Stopped> {
+    let refined = if diagnose::leaves_much(&coarse.state) {
+        relief::refine(solver, choice, watch)?
+    } else {
+        None
+    };
+    let on_refined = match &refined {
+        Some(surface) => fit_on(surface, solver, coarse, choice, watch)?,
+        None => None,
+    };
+    let (fit, because, refined) = match on_refined {
+        Some((fit, because)) => (fit, because, refined),
+        None => (finish(solver, coarse, watch)?, because, None),
+    };
+    let suspicion = if !watch.observer.enough() && diagnose::is_middling(&fit.misfit) {
+        solver.suspicion(&coarse.state)?
+    } else {
+        None
+    };
+    Ok(Ending {
+        fit,
+        because,
+        refined,
+        suspicion,
+    })
+}
+
+/// Parts of the surface by the strength of their gloss, where one strength for all leaves so much that there may be some, and
+/// many strengths clearly less.
+fn patches(
+    solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<GlossParts>, Stopped> {
+    if !diagnose::leaves_much(&coarse.state) || watch.observer.enough() {
+        return Ok(None);
+    }
+    let Some(strengths) = solver.strengths(watch)? else {
+        return Ok(None);
+    };
+    let parted = solver.parted(&strengths);
+    let (fit, _) = choose(&parted, choice, &SpecularModel::ALL, watch)?;
+    if !explains_better(&fit, coarse) {
+        return Ok(None);
+    }
+    Ok(parted.gloss_parts(&fit.state).map(|(parts, _)| parts))
+}
+
+/// Whether one coarse fit leaves so much less than another that it is worth more unknowns.
+fn explains_better(one: &CoarseFit<'_>, other: &CoarseFit<'_>) -> bool {
+    one.unexplained < gloss::WORTH * other.unexplained
 }
 
 /// The fit on a refined surface, with the reason for its specular model; `None` unless it explains much more than `coarse`,

@@ -1,6 +1,9 @@
 //! Robust weights of rows and the noise level they imply.
 
+use glam::Vec3;
+
 use super::design::{Design, Prediction};
+use super::observations::{Observations, Point};
 use rekindle_scene::reflectance::Brdf;
 
 /// Residuals past this many standard deviations lose weight (Huber's constant for 95 % efficiency).
@@ -112,6 +115,28 @@ pub fn eliminate(
             *v -= t * m;
         }
     }
+}
+
+/// Logarithm of each point's diffuse radiance, RGB, where its rows' specular radiance is `shown`.
+pub fn log_diffuse(
+    observations: &Observations,
+    brdf: &Brdf,
+    weights: &[f32],
+    shown: &[[f32; 3]],
+) -> Vec<Vec3> {
+    let colour = |point: &Point| {
+        let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+        for k in point.rows.clone() {
+            let row = &observations.rows[k];
+            let through = brdf.diffuse_exit(row.cos_view);
+            let diffuse = Vec3::from(row.radiance) - Vec3::from(shown[k]);
+            sum += weights[k] * through * diffuse;
+            total += weights[k] * through * through;
+        }
+        let colour = (sum / total.max(f32::MIN_POSITIVE)).max(Vec3::splat(1e-4));
+        Vec3::from(colour.to_array().map(f32::ln))
+    };
+    observations.points.iter().map(colour).collect()
 }
 
 /// Noise from the median residual, with the degrees of freedom that the elimination took given back.
