@@ -78,6 +78,16 @@ fn is_diffuse_only(found: &Estimate, words: &str) {
     assert!(d.warnings.iter().any(|w| w.contains(words)), "{d:?}");
 }
 
+/// The diffuse part of each view of `spot_paper`, which is what its renderer says.
+fn true_diffuse(capture: &Capture) -> Vec<Vec<[f32; 3]>> {
+    let folder =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/captures/spot_paper/truth/diffuse");
+    let picture =
+        |i: usize| read_radiance(&folder.join(format!("view_{i:03}.exr"))).map(|(_, _, r)| r);
+    let views = 0..capture.views.len();
+    views.map(|i| picture(i).unwrap()).collect()
+}
+
 #[test]
 fn a_single_view_is_left_diffuse() {
     let mut capture = load();
@@ -108,11 +118,8 @@ fn views_without_a_common_surface_are_left_diffuse() {
 #[test]
 fn a_purely_diffuse_object_is_left_diffuse() {
     let mut capture = load();
-    let folder =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/captures/spot_paper/truth/diffuse");
-    for (i, view) in capture.views.iter_mut().enumerate() {
-        let picture = read_radiance(&folder.join(format!("view_{i:03}.exr"))).unwrap();
-        Arc::make_mut(&mut view.photograph).radiance = picture.2;
+    for (picture, view) in true_diffuse(&capture).into_iter().zip(&mut capture.views) {
+        Arc::make_mut(&mut view.photograph).radiance = picture;
     }
     is_diffuse_only(&fast(&capture), "No specular part");
     let reference = run_on(&capture, Method::Amuh, &mut Unobserved).unwrap();
@@ -165,9 +172,15 @@ fn a_mesh_coarser_than_the_highlights_is_refined() {
     // From the truth.json of spot_paper.
     let sigma = found.brdf.unwrap().sigma;
     assert!((sigma / 0.085 - 1.0).abs() < 0.05, "{sigma}");
+    lamps_of_spot_paper_are_found(&capture, &found);
+}
+
+/// Whether both lamps of `spot_paper` (from its truth.json) are found within 1°, and hardly any other light.
+fn lamps_of_spot_paper_are_found(capture: &Capture, found: &Estimate) {
     let up = capture.light_hemisphere.up.as_vec3();
     let grid = HemisphereGrid::new(40, up, None, capture.mesh.centre());
     let lamps = find_lamps(&grid, &found.radiance);
+    assert!(lamps.len() >= 2, "{:?}", found.diagnostics);
     for truth in [
         Vec3::new(-0.619_74, 0.587_79, 0.520_03),
         Vec3::new(0.405_58, std::f32::consts::FRAC_1_SQRT_2, 0.579_23),
@@ -181,6 +194,33 @@ fn a_mesh_coarser_than_the_highlights_is_refined() {
     let all: f32 = lamps.iter().map(Lamp::mean_flux).sum();
     let strays: f32 = lamps[2..].iter().map(Lamp::mean_flux).sum();
     assert!(strays < 0.03 * all, "{strays} of {all}");
+}
+
+#[test]
+fn lights_are_found_where_half_the_surface_has_no_gloss() {
+    let mut capture = load();
+    let occluder = Occluder::new(&capture.mesh);
+    let is_dull = |p: Vec3| (3.0 * p).floor().element_sum() as i32 % 2 == 0;
+    for (picture, view) in true_diffuse(&capture).into_iter().zip(&mut capture.views) {
+        let surface = ViewSurface::new(&capture.mesh, &occluder, &view.camera);
+        let pixels = Arc::make_mut(&mut view.photograph).radiance.iter_mut();
+        for (i, (pixel, diffuse)) in pixels.zip(picture).enumerate() {
+            let (x, y) = (i as u32 % surface.width, i as u32 / surface.width);
+            let point = surface.point(&capture.mesh, &view.camera, x, y);
+            if point.is_some_and(|p| is_dull(p.position)) {
+                *pixel = diffuse;
+            }
+        }
+    }
+    let found = fast(&capture);
+    lamps_of_spot_paper_are_found(&capture, &found);
+    // From the truth.json of spot_paper.
+    let sigma = found.brdf.unwrap().sigma;
+    assert!((sigma / 0.085 - 1.0).abs() < 0.05, "{sigma}");
+    let parts = found.parts.as_ref().expect("some of the surface is dull");
+    let dull = (0..parts.glosses.len()).filter(|&k| parts.glosses[k].strength == 0.0);
+    let dull: f32 = dull.map(|k| parts.share(k)).sum();
+    assert!((0.3..0.7).contains(&dull), "{dull} of the surface");
 }
 
 #[test]
