@@ -78,6 +78,8 @@ const MARGIN: usize = 2;
 
 /// Rounds in which glosses and lights take turns.
 const GLOSS_ROUNDS: usize = 3;
+/// Parts that differ by less from those before, in the mean, are settled.
+const SAME_GLOSS: f32 = 0.02;
 
 /// A lobe below this share of its peak says nothing worth a row.
 const LEAST_LOBE: f32 = 0.02;
@@ -336,7 +338,11 @@ impl Solver<'_> {
         } else {
             None
         };
-        let Some((parts, main)) = found else {
+        let settled = |parts: &GlossParts| {
+            let before = self.seen.parts;
+            before.is_some_and(|before| parts.difference(before) < SAME_GLOSS)
+        };
+        let Some((parts, main)) = found.filter(|(parts, _)| !settled(parts)) else {
             return self.finish(state, step, observations, watch);
         };
         let parted = self.parted(&parts);

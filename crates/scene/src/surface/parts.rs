@@ -52,6 +52,16 @@ impl GlossParts {
         own as f32 / self.points.size().max(1) as f32
     }
 
+    /// How far the gloss of the points is from that of other parts in the mean; see [`Gloss::difference`].
+    pub fn difference(&self, other: &Self) -> f32 {
+        let apart = |point: &PartPoint| {
+            let theirs = other.glosses[other.at(point.position)];
+            f64::from(self.glosses[point.gloss].difference(theirs))
+        };
+        let sum: f64 = self.points.iter().map(|point| apart(&point.data)).sum();
+        (sum / self.points.size().max(1) as f64) as f32
+    }
+
     /// Which gloss the surface has at a place: that of the nearest point.
     pub fn at(&self, position: Vec3) -> usize {
         let nearest = self.points.nearest_neighbor(position.to_array());
