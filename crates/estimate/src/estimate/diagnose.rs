@@ -38,9 +38,11 @@ pub const LEAST_EXPLAINED: f64 = 0.15;
 /// Relative standard error of σ past which it counts as undetermined.
 const LARGEST_RELATIVE_ERROR: f32 = 0.3;
 
-/// Part of the differences between views that a coarse fit leaves where the mesh is too coarse: sound captures leave up to
-/// 0.14, those with the normals of a mesh decimated tenfold 0.6.
+/// Part of the differences between views that a coarse fit leaves where the gloss may differ from place to place.
 const MOST_UNEXPLAINED: f64 = 0.35;
+/// And where the normals may be off, which is tried then: sound captures leave up to 0.14, scanned meshes 0.32 and more, those
+/// decimated tenfold 0.6.
+const MOST_OF_GOOD_NORMALS: f64 = 0.2;
 
 /// Misfit past which a fit is doubted. Sound path-traced captures have none at all; normals off by 0.7° have 0.024, and σ is
 /// then 2 % off.
@@ -51,9 +53,6 @@ const MIDDLING_CORRELATION: f64 = 0.1;
 
 /// Part of the misfit that turned normals have to explain for them to be named as its cause.
 const MOSTLY: f64 = 0.5;
-
-/// Part of what a coarse fit leaves on the capture's mesh that it may leave on a refined one for that to be used.
-const LEFT_ON_A_BETTER_SURFACE: f64 = 0.6;
 
 /// A lobe whose σ is below this part of the turn from pixel to pixel is not resolved: most of it is within one pixel.
 const LEAST_RESOLVED: f32 = 1.0;
@@ -127,24 +126,22 @@ pub fn not_sharp(coarse: &CoarseFit<'_>) -> Option<String> {
     (broad || coarse.sharpness < LEAST_SHARPNESS || open()).then(|| NO_DETAIL.to_owned())
 }
 
-/// Whether a coarse fit leaves so much that either the gloss differs from place to place or the normals are off by more than a
-/// highlight is wide: sound captures
-/// leave up to 0.14, meshes decimated tenfold 0.62 and more.
+/// Whether a coarse fit leaves so much that the gloss may differ from place to place.
 pub fn leaves_much(state: &State<'_>) -> bool {
     state.unexplained_share() > MOST_UNEXPLAINED
 }
 
-/// Whether the second of two coarse fits, on a refined surface, explains much more than the first, on the capture's mesh.
-pub fn is_better_surface(mesh: &State<'_>, refined: &State<'_>) -> bool {
-    refined.unexplained_share() < LEFT_ON_A_BETTER_SURFACE * mesh.unexplained_share()
+/// Whether a coarse fit leaves so much that the normals may be off.
+pub fn doubts_normals(state: &State<'_>) -> bool {
+    state.unexplained_share() > MOST_OF_GOOD_NORMALS
 }
 
 /// What is said where the surface was refined.
 pub fn refined(surface: &RefinedSurface) -> String {
     format!(
-        "The mesh is too coarse for the highlights. A smooth surface through it was refined by them, which turned the normals \
-         by {:.1}° in the median; the solution holds this surface. A finer mesh, or one with the object's normals, gives better \
-         results.",
+        "The mesh's normals are off by more than the highlights allow: it is too coarse, or noisy as scans are. A smooth surface \
+         through it was refined by the highlights, which turned the normals by {:.1}° in the median; the solution holds this \
+         surface. A mesh with the object's normals gives better results.",
         surface.median_tilt.to_degrees()
     )
 }

@@ -53,7 +53,7 @@ pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 pub use observer::{Watcher, watched};
 use relief::Bench;
 pub use relief::RefinedSurface;
-use suspects::Suspicion;
+use suspects::{SURE, Suspicion, left, signed_ranks};
 use workspace::Workspace;
 
 /// How the minimum is sought.
@@ -137,7 +137,7 @@ pub struct Estimate {
     pub parts: Option<GlossParts>,
     /// Why this specular model, in a sentence.
     pub chosen_because: String,
-    /// The surface that all this holds for, where it isn't the capture's mesh: that one is too coarse.
+    /// The surface that all this holds for, where it isn't the capture's mesh: that one is too coarse or noisy.
     pub refined: Option<RefinedSurface>,
     /// How much brighter each view was found to be than the common scale on which all this holds; empty where they agree.
     pub exposures: Vec<f64>,
@@ -334,7 +334,7 @@ struct Ending {
     suspicion: Option<Suspicion>,
 }
 
-/// Goes on from a coarse fit, chosen `because`, to the end, on a refined surface where the mesh is too coarse.
+/// Goes on from a coarse fit, chosen `because`, to the end, on a refined surface where the mesh is too coarse or noisy.
 fn end(
     solver: &Solver<'_>,
     coarse: &CoarseFit<'_>,
@@ -342,8 +342,8 @@ fn end(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Ending, Stopped> {
-    let refined = if diagnose::leaves_much(&coarse.state) {
-        relief::refine(solver, choice, watch)?
+    let refined = if diagnose::doubts_normals(&coarse.state) {
+        relief::refine(solver, coarse, choice, watch)?
     } else {
         None
     };
@@ -395,8 +395,8 @@ fn explains_better(one: &CoarseFit<'_>, other: &CoarseFit<'_>) -> bool {
     one.unexplained < gloss::WORTH * other.unexplained
 }
 
-/// The fit on a refined surface, with the reason for its specular model; `None` unless it explains much more than `coarse`,
-/// the coarse fit on the solver's own surface.
+/// The fit on a refined surface, with the reason for its specular model; `None` unless it explains more than
+/// `coarse`, the coarse fit on the solver's own surface, beyond chance.
 fn fit_on(
     surface: &RefinedSurface,
     solver: &Solver<'_>,
@@ -407,7 +407,7 @@ fn fit_on(
     let bench = Bench::new(&surface.mesh, solver.seen.views);
     let refined = bench.solver(solver, &surface.mesh);
     let (again, because) = choose(&refined, choice, &SpecularModel::ALL, watch)?;
-    if !diagnose::is_better_surface(&coarse.state, &again.state) {
+    if signed_ranks(&left(&coarse.state), &left(&again.state)) <= SURE {
         return Ok(None);
     }
     Ok(Some((finish(&refined, &again, watch)?, because)))

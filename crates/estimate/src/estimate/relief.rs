@@ -1,4 +1,4 @@
-//! The surface of a mesh that is coarser than its highlights, refined by them.
+//! The surface of a mesh that is coarser or noisier than its highlights allow, refined by them.
 //!
 //! Normals that are off by as much as the lobe is wide make highlights look like those of many lights in a narrow lobe.
 //! The fair surface through the mesh ([`Fairing`]) is nearer to the object, but not near enough. So its places are moved
@@ -23,7 +23,7 @@ use rayon::prelude::*;
 
 use super::cells::{Cell, CellGeometry};
 use super::design::Design;
-use super::fast::{Solver, Watch};
+use super::fast::{CoarseFit, Solver, Watch};
 use super::observations::{Observations, Point, Seen};
 use super::observer::{Stopped, go_on};
 use super::state::ROUGH;
@@ -34,7 +34,9 @@ use rekindle_base::math::sparse::LowerEntries;
 use rekindle_capture::{Mesh, View};
 use rekindle_scene::hemisphere::{Lamp, find_lamps};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
-use rekindle_scene::surface::{Fairing, NO_TRIANGLE, Occluder, ViewSurface, area_vectors};
+use rekindle_scene::surface::{
+    Fairing, NO_TRIANGLE, Occluder, ViewSurface, area_vectors, simplified,
+};
 
 /// The lobe with which lamps are looked for over the one that fits best on unrefined normals.
 const WIDER: f32 = 2.0;
@@ -51,6 +53,11 @@ const SETTLED: f32 = 5e-3;
 
 /// Pixels that a triangle must cover for the views to show more than it says: it is divided into sixteen.
 const LEAST_PIXELS: f64 = 16.0;
+
+/// Most triangles of a surface with places of its own to move.
+const MOST_TRIANGLES: usize = 90_000;
+/// Lengths below which a noisy surface is smoothed, in edges.
+const LENGTHS: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
 
 /// Most points that take part.
 const POINTS: usize = 24_000;
@@ -129,19 +136,22 @@ struct Relief {
     heights: Vec<f64>,
 }
 
-/// A surface that explains the highlights better than the solver's; `None` where the mesh is fine enough for the views or
-/// does not determine a fair one, or no lamps are found.
+/// A surface that explains the highlights better than the solver's; `None` where the mesh is neither coarse nor noisy or does not
+/// determine a fair one, or no lamps are found. `coarse` is a fit on the solver's own surface.
 pub fn refine(
     solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<RefinedSurface>, Stopped> {
     const WHAT: &str = "refining the surface";
     go_on(watch.observer.progress(WHAT, 0.3))?;
-    if pixels_per_triangle(&solver.seen) < LEAST_PIXELS {
-        return Ok(None);
-    }
-    let Some(mut relief) = Relief::new(solver.seen.mesh) else {
+    let start = if pixels_per_triangle(&solver.seen) >= LEAST_PIXELS {
+        Fairing::new(solver.seen.mesh).map(Relief::new)
+    } else {
+        smoothed(solver, coarse, watch)?
+    };
+    let Some(mut relief) = start else {
         return Ok(None);
     };
     let mut mesh = relief.mesh();
@@ -171,6 +181,51 @@ pub fn refine(
         median_tilt: relief.fairing.median_tilt(&mesh),
         mesh,
     }))
+}
+
+/// The surface through a mesh that is as fine as the pictures, smoothed as much as these say: as long as a coarse fit leaves
+/// less than with less smoothing. `None` where the mesh as it is leaves least, `coarse`: its normals are not noisy then.
+fn smoothed(
+    solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Relief>, Stopped> {
+    let pixels = |surface: &ViewSurface| {
+        let object = surface.triangle.iter().filter(|&&t| t != NO_TRIANGLE);
+        object.count()
+    };
+    let largest = solver.seen.surfaces.iter().map(pixels).max().unwrap_or(0);
+    let mesh = simplified(solver.seen.mesh, largest.min(MOST_TRIANGLES));
+    let spacing = spacing(&mesh);
+    let brdf = coarse.state.brdf;
+    let (mut least, mut best) = (coarse.unexplained, None);
+    for length in LENGTHS {
+        go_on(watch.observer.progress("smoothing the surface", 0.3))?;
+        let Some(fairing) = Fairing::smoothing(&mesh, length * spacing) else {
+            break;
+        };
+        let relief = Relief::new(fairing);
+        let smooth = relief.mesh();
+        let bench = Bench::new(&smooth, solver.seen.views);
+        let again = bench.solver(solver, &smooth);
+        let fit = again.compare_sigmas(brdf.model, Some(brdf.sigma), watch)?;
+        if fit.unexplained > least {
+            break;
+        }
+        (least, best) = (fit.unexplained, Some(relief));
+    }
+    Ok(best)
+}
+
+/// Mean length of the edges of a mesh with one vertex a place.
+fn spacing(mesh: &Mesh) -> f64 {
+    let edges = mesh.triangles.iter().flat_map(|&[a, b, c]| {
+        [(a, b), (b, c), (c, a)].map(|(p, q)| {
+            let [p, q] = [p, q].map(|v| mesh.positions[v as usize]);
+            f64::from(p.distance(q))
+        })
+    });
+    edges.sum::<f64>() / (3 * mesh.triangles.len()).max(1) as f64
 }
 
 /// Pixels that a triangle covers in a view that shows it, in the mean.
@@ -464,18 +519,17 @@ struct PointEquations {
 type Slopes = (DVec3, Vec<(usize, DVec3)>);
 
 impl Relief {
-    fn new(mesh: &Mesh) -> Option<Self> {
-        let fairing = Fairing::new(mesh)?;
+    fn new(fairing: Fairing) -> Self {
         let along = area_vectors(&fairing.positions, &fairing.triangles)
             .iter()
             .map(|n| n.normalize_or_zero())
             .collect();
         let heights = vec![0.0; fairing.positions.len()];
-        Some(Self {
+        Self {
             fairing,
             along,
             heights,
-        })
+        }
     }
 
     fn positions(&self) -> Vec<DVec3> {
@@ -629,7 +683,7 @@ mod tests {
 
     #[test]
     fn tilts_by_heights_agree_with_finite_differences() {
-        let mut relief = Relief::new(&bumpy_sphere(8, 0.1)).unwrap();
+        let mut relief = Relief::new(Fairing::new(&bumpy_sphere(8, 0.1)).unwrap());
         for (i, height) in relief.heights.iter_mut().enumerate() {
             *height = 0.01 * (i as f64).sin();
         }

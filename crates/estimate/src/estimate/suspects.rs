@@ -47,7 +47,7 @@ pub struct Suspicion {
 /// Groups of points whose differences are ranked.
 const GROUPS: usize = 32;
 /// Standard deviations of chance by which a change has to win. There are at most eight changes to win by chance.
-const SURE: f64 = 3.0;
+pub const SURE: f64 = 3.0;
 /// Roughnesses that a changed fit starts from, as multiples of the unchanged one's.
 const STARTS: [f32; 3] = [0.75, 1.0, 1.5];
 /// Rounds of improvement of a changed fit, …
@@ -91,7 +91,7 @@ impl Trial {
 
 /// What a fit leaves at each point, as a part of the differences between views and per degree of freedom, of which a lit cell
 /// and a point's colour take one each.
-fn left(state: &State<'_>) -> Vec<f64> {
+pub fn left(state: &State<'_>) -> Vec<f64> {
     let observations = state.design.observations;
     let all = state.dark_residuals().absolute_sum();
     let rows = observations.rows.len() as f64;

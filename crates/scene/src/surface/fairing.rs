@@ -1,4 +1,4 @@
-//! A smooth surface through a coarse mesh.
+//! A smooth surface through a coarse or noisy mesh.
 //!
 //! A mesh that was decimated has lost the normals between its vertices, and smooth ones computed from its faces are off
 //! by degrees. Of all surfaces that it may stand for, the least bent is a far better guess. Every triangle is divided
@@ -42,67 +42,39 @@ pub struct Fairing {
     pub positions: Vec<DVec3>,
     /// Place of every vertex.
     place_of: Vec<u32>,
-    /// Normals of the coarse mesh at the vertices, unit.
-    coarse_normals: Vec<Vec3>,
+    /// Normals of the mesh that was given at the vertices, unit.
+    given_normals: Vec<Vec3>,
     /// K over the energy per coarse vertex and axis.
     precision: LowerEntries,
 }
 
 impl Fairing {
-    /// The fair surface of a mesh; `None` where the mesh does not determine one.
+    /// The fair surface of a mesh that is coarser than the surface; `None` where the mesh does not determine one.
     pub fn new(coarse: &Mesh) -> Option<Self> {
         let (mesh, hats) = divided(coarse);
-        let place_of = mesh.places();
-        let count = place_of.iter().max().map_or(0, |m| *m as usize + 1);
-        let triangles: Vec<[usize; 3]> = mesh
-            .triangles
-            .iter()
-            .map(|t| t.map(|v| place_of[v as usize] as usize))
-            .collect();
-        let mut flat = vec![DVec3::ZERO; count];
-        let mut hat_at = vec![SparseRow::new(); count];
-        for ((&place, position), hat) in place_of.iter().zip(&mesh.positions).zip(hats) {
-            flat[place as usize] = position.as_dvec3();
+        let flat = Flat::new(mesh);
+        let mut hat_at = vec![SparseRow::new(); flat.places.len()];
+        for (&place, hat) in flat.place_of.iter().zip(hats) {
             hat_at[place as usize] = hat;
         }
-        let (laplacian, area) = laplacian(&flat, &triangles);
-        let bends: Vec<(SparseRow, f64)> = laplacian
-            .into_iter()
-            .zip(&area)
-            .map(|(row, a)| (row, 1.0 / a))
-            .collect();
+        let (bends, area) = flat.bends();
         let means = means(&hat_at, &area);
-        let mut energy = LowerEntries::default();
-        for (row, weight) in bends.iter().chain(&means) {
-            energy.add_square(row, *weight);
-        }
-        let mut pull = vec![DVec3::ZERO; count];
-        for (row, weight) in &means {
-            let mean = applied(row, &flat);
-            for &(place, share) in row {
-                pull[place] += *weight * share * mean;
-            }
-        }
-        let x = energy.solve(&Mat::from_fn(count, 3, |i, k| pull[i][k]))?;
-        let positions: Vec<DVec3> = (0..count)
-            .map(|i| DVec3::new(x[(i, 0)], x[(i, 1)], x[(i, 2)]))
+        flat.faired(&bends, &means)
+    }
+
+    /// The fair surface of a mesh that is as fine as the surface but noisy: B is one place, and its weight A/ℓ⁴, so that what is
+    /// clearly shorter than 2πℓ is smoothed away; `length` is that ℓ, mesh units.
+    pub fn smoothing(noisy: &Mesh, length: f64) -> Option<Self> {
+        let flat = Flat::new(Mesh {
+            uvs: Vec::new(),
+            ..noisy.clone()
+        });
+        let (bends, area) = flat.bends();
+        let held = area.iter().enumerate();
+        let held: Vec<(SparseRow, f64)> = held
+            .map(|(place, area)| (vec![(place, 1.0)], area / length.powi(4)))
             .collect();
-        let off: Vec<DVec3> = positions.iter().zip(&flat).map(|(x, f)| *x - *f).collect();
-        let bent = bends
-            .iter()
-            .map(|(row, w)| w * applied(row, &positions).length_squared());
-        let moved = means
-            .iter()
-            .map(|(row, w)| w * applied(row, &off).length_squared());
-        let variance = bent.chain(moved).sum::<f64>() / (3 * means.len()) as f64;
-        Some(Self {
-            precision: energy.scaled(1.0 / variance.max(f64::MIN_POSITIVE)),
-            coarse_normals: mesh.normals.clone(),
-            mesh,
-            triangles,
-            positions,
-            place_of,
-        })
+        flat.faired(&bends, &held)
     }
 
     /// Adds the precision P of the true surface's heights over the fair one, if surfaces are as bent as that, to
@@ -125,18 +97,18 @@ impl Fairing {
             mesh.positions[vertex] = positions[place as usize].as_vec3();
             mesh.normals[vertex] = normals[place as usize]
                 .try_normalize()
-                .map_or(self.coarse_normals[vertex], glam::DVec3::as_vec3);
+                .map_or(self.given_normals[vertex], glam::DVec3::as_vec3);
         }
         mesh
     }
 
-    /// Median angle between the normals of the coarse mesh and those of `mesh`, which is of [`Fairing::mesh_at`], at its
+    /// Median angle between the normals of the mesh that was given and those of `mesh`, which is of [`Fairing::mesh_at`], at its
     /// vertices, radians.
     pub fn median_tilt(&self, mesh: &Mesh) -> f32 {
         let mut tilts: Vec<f32> = mesh
             .normals
             .iter()
-            .zip(&self.coarse_normals)
+            .zip(&self.given_normals)
             .map(|(a, b)| a.angle_between(*b))
             .collect();
         if tilts.is_empty() {
@@ -144,6 +116,78 @@ impl Fairing {
         }
         let middle = tilts.len() / 2;
         *tilts.select_nth_unstable_by(middle, f32::total_cmp).1
+    }
+}
+
+/// A mesh whose vertices at one place are one.
+struct Flat {
+    mesh: Mesh,
+    triangles: Vec<[usize; 3]>,
+    places: Vec<DVec3>,
+    place_of: Vec<u32>,
+}
+
+impl Flat {
+    fn new(mesh: Mesh) -> Self {
+        let place_of = mesh.places();
+        let count = place_of.iter().max().map_or(0, |m| *m as usize + 1);
+        let mut places = vec![DVec3::ZERO; count];
+        for (&place, position) in place_of.iter().zip(&mesh.positions) {
+            places[place as usize] = position.as_dvec3();
+        }
+        let triangles = mesh.triangles.iter();
+        Self {
+            triangles: triangles
+                .map(|t| t.map(|v| place_of[v as usize] as usize))
+                .collect(),
+            mesh,
+            places,
+            place_of,
+        }
+    }
+
+    /// The rows L with the weights 1/A, and the areas A.
+    fn bends(&self) -> (Vec<(SparseRow, f64)>, Vec<f64>) {
+        let (laplacian, area) = laplacian(&self.places, &self.triangles);
+        let rows = laplacian.into_iter().zip(&area);
+        (rows.map(|(row, a)| (row, 1.0 / a)).collect(), area)
+    }
+
+    /// The least bent surface that is held where it is by some weighted means of places.
+    fn faired(self, bends: &[(SparseRow, f64)], held: &[(SparseRow, f64)]) -> Option<Fairing> {
+        let count = self.places.len();
+        let mut energy = LowerEntries::default();
+        for (row, weight) in bends.iter().chain(held) {
+            energy.add_square(row, *weight);
+        }
+        let mut pull = vec![DVec3::ZERO; count];
+        for (row, weight) in held {
+            let mean = applied(row, &self.places);
+            for &(place, share) in row {
+                pull[place] += *weight * share * mean;
+            }
+        }
+        let x = energy.solve(&Mat::from_fn(count, 3, |i, k| pull[i][k]))?;
+        let positions: Vec<DVec3> = (0..count)
+            .map(|i| DVec3::new(x[(i, 0)], x[(i, 1)], x[(i, 2)]))
+            .collect();
+        let off = positions.iter().zip(&self.places);
+        let off: Vec<DVec3> = off.map(|(x, f)| *x - *f).collect();
+        let bent = bends
+            .iter()
+            .map(|(row, w)| w * applied(row, &positions).length_squared());
+        let moved = held
+            .iter()
+            .map(|(row, w)| w * applied(row, &off).length_squared());
+        let variance = bent.chain(moved).sum::<f64>() / (3 * held.len()) as f64;
+        Some(Fairing {
+            precision: energy.scaled(1.0 / variance.max(f64::MIN_POSITIVE)),
+            given_normals: self.mesh.normals.clone(),
+            mesh: self.mesh,
+            triangles: self.triangles,
+            positions,
+            place_of: self.place_of,
+        })
     }
 }
 

@@ -7,6 +7,7 @@ mod charts;
 mod fairing;
 mod gloss_texture;
 mod parts;
+mod simplify;
 mod texture;
 mod visible;
 
@@ -15,6 +16,7 @@ pub use bvh::{Hit, Occluder, WalkNode};
 pub use fairing::{Fairing, area_vectors};
 pub use gloss_texture::GlossTexture;
 pub use parts::{GlossParts, PartPoint, likeness};
+pub use simplify::simplified;
 pub use texture::{
     FULL_COVERAGE, GRAZING, MinimumTexture, Observation, Reading, is_object, minimum_texture,
     wanted_density,
