@@ -91,6 +91,7 @@ mod tests {
                 radiance: vec![[0.5; 3]; 2],
                 coverage: None,
                 usable: vec![true; 2],
+                crop: None,
             }),
         };
         Capture {

@@ -16,6 +16,7 @@ mod brackets;
 mod camera;
 mod clipping;
 mod colmap;
+mod crop;
 mod demo;
 mod error;
 mod fingerprint;
@@ -43,6 +44,7 @@ pub use brackets::{
     Shot,
 };
 pub use camera::{Camera, Distortion};
+pub use crop::Crop;
 pub use demo::{DEMO, demo_names, unpack_demo};
 pub use error::CaptureError;
 pub use load::{Covered, PixelCounts, input_files, read_cameras, read_covered, read_radiance};
@@ -69,6 +71,8 @@ pub struct Photograph {
     pub coverage: Option<Vec<f32>>,
     /// Whether each pixel is data: finite, not saturated, not masked out.
     pub usable: Vec<bool>,
+    /// Where it lies in the picture of its file, if it is only a part of that.
+    pub crop: Option<Crop>,
 }
 
 /// One photograph with its camera.
@@ -76,7 +80,7 @@ pub struct Photograph {
 pub struct View {
     /// File path as the manifest has it.
     pub name: String,
-    /// Where it was taken from; same size as the photograph.
+    /// Where it was taken from; same size as the photograph, as if nothing more had been taken where that is cropped.
     pub camera: Camera,
     /// What was measured.
     pub photograph: Arc<Photograph>,

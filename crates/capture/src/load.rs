@@ -2,11 +2,12 @@
 
 use super::brackets::{self, Brackets, ExposureUse, Part, Response, Settings, Table};
 use super::camera::Camera;
+use super::crop::Crop;
 use super::error::CaptureError;
 use super::isolated::isolated_pixels;
 use super::manifest::{Frame, Manifest};
 use super::mesh::Mesh;
-use super::picture::{self, Encoding, Picture};
+use super::picture::{self, Encoding, Mask, Picture};
 use super::{Capture, LightHemisphere, Photograph, View, mesh_file, needs};
 use glam::{DAffine3, DVec2, DVec3};
 use rayon::prelude::*;
@@ -19,22 +20,27 @@ const INFINITE: f32 = 1e19;
 const SAMPLES: usize = 20_000;
 
 impl Capture {
-    /// Reads a capture from its folder or its `transforms.json`.
+    /// Reads a capture from its folder or its `transforms.json`. Of large photographs only the part about the object is kept, if
+    /// coverage says where that is.
     pub fn load(path: &Path) -> Result<Self, CaptureError> {
-        Self::load_counting(path).map(|(capture, _)| capture)
+        Self::read(path, true, true).map(|(capture, _)| capture)
     }
 
-    /// Reads a capture and counts the bad pixels that its views had, one entry per view.
+    /// Reads a capture with all pixels, and counts the bad ones that its views had, one entry per view.
     pub fn load_counting(path: &Path) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
-        Self::read(path, true)
+        Self::read(path, true, false)
     }
 
     /// [`Capture::load_counting`] of a capture whose mesh may lie where no camera sees it.
     pub fn load_unplaced(path: &Path) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
-        Self::read(path, false)
+        Self::read(path, false, false)
     }
 
-    fn read(path: &Path, placed: bool) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
+    fn read(
+        path: &Path,
+        placed: bool,
+        cropped: bool,
+    ) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
         let mut manifest = Manifest::read(path)?;
         let mut warnings = Vec::from_iter(manifest.leave_out_missing());
         let table = Table::beside(&manifest.folder)?;
@@ -45,7 +51,7 @@ impl Capture {
         let several = manifest.frames.iter().filter(|f| f.exposures.len() > 1);
         let response = brackets::response(&several.collect::<Vec<_>>(), &|frame| read(frame))?;
         let (photographs, mesh) = rayon::join(
-            || read_photographs(&manifest, &firsts, &response),
+            || read_photographs(&manifest, &firsts, &response, cropped),
             || {
                 let mesh_path = manifest.mesh_path.as_deref();
                 let file = mesh_file::find(&manifest.folder, mesh_path, &manifest.path)?;
@@ -69,10 +75,10 @@ impl Capture {
             uses.push(read.uses.clone());
             tally.count_encoding(read.encoding);
             tally.pixels.push((frame.name.clone(), read.counts));
-            let size = (read.photograph.width, read.photograph.height);
+            let camera = camera_of(frame, &read.photograph, frame.world_from_camera);
             views.push(View {
                 name: frame.name.clone(),
-                camera: (frame.lens.camera(size, frame.world_from_camera)).seen_about(mesh.origin),
+                camera: camera.seen_about(mesh.origin),
                 photograph: Arc::clone(&read.photograph),
             });
         }
@@ -207,6 +213,7 @@ fn read_photographs(
     manifest: &Manifest,
     firsts: &[usize],
     response: &Response,
+    cropped: bool,
 ) -> Result<Vec<Option<Read>>, CaptureError> {
     let read: Vec<Result<Option<Read>, CaptureError>> = manifest
         .frames
@@ -214,7 +221,7 @@ fn read_photographs(
         .enumerate()
         .map(|(i, frame)| {
             let own = firsts[i] == i;
-            own.then(|| read_photograph(manifest, frame, response))
+            own.then(|| read_photograph(manifest, frame, response, cropped))
                 .transpose()
         })
         .collect();
@@ -226,12 +233,18 @@ fn read_photograph(
     manifest: &Manifest,
     frame: &Frame,
     response: &Response,
+    cropped: bool,
 ) -> Result<Read, CaptureError> {
     let merged = brackets::merge(read_frame(manifest, frame)?, response)?;
     let encoding = merged.picture.encoding;
     let mask = read_mask(manifest, frame, &merged.picture)?;
     let (photograph, counts) = clean(merged.picture, mask.as_ref());
     check_useful(&photograph, &frame.exposures[0].path)?;
+    let photograph = if cropped {
+        photograph.about_object()
+    } else {
+        photograph
+    };
     Ok(Read {
         photograph: Arc::new(photograph),
         counts,
@@ -241,17 +254,26 @@ fn read_photograph(
     })
 }
 
+/// The camera at a pose that takes what is kept of a frame's photograph.
+fn camera_of(frame: &Frame, photograph: &Photograph, pose: DAffine3) -> Camera {
+    let kept = [photograph.width, photograph.height];
+    let Some(Crop { first, whole }) = photograph.crop else {
+        return frame.lens.camera(kept.into(), pose);
+    };
+    frame.lens.camera(whole.into(), pose).cropped(first, kept)
+}
+
 /// The mask of a frame, of the size of its picture.
 fn read_mask(
     manifest: &Manifest,
     frame: &Frame,
     picture: &Picture,
-) -> Result<Option<Picture>, CaptureError> {
+) -> Result<Option<Mask>, CaptureError> {
     let Some(path) = &frame.mask else {
         return Ok(None);
     };
     let field = format!("{}.mask_path", frame.field);
-    let mask = Picture::read(path, &field, !manifest.as_stored, &|_| Ok(()))?;
+    let mask = Mask::read(path, &field, !manifest.as_stored)?;
     let (found, stated) = ((mask.width, mask.height), (picture.width, picture.height));
     if found == stated {
         return Ok(Some(mask));
@@ -384,7 +406,7 @@ impl Tally {
 }
 
 /// Makes every pixel finite and not negative and marks what is data.
-fn clean(picture: Picture, mask: Option<&Picture>) -> (Photograph, PixelCounts) {
+fn clean(picture: Picture, mask: Option<&Mask>) -> (Photograph, PixelCounts) {
     let Picture {
         width,
         height,
@@ -398,17 +420,13 @@ fn clean(picture: Picture, mask: Option<&Picture>) -> (Photograph, PixelCounts) 
         .is_none_or(|alpha| alpha.iter().all(|&a| a == 1.0));
     let mut coverage = if opaque { None } else { alpha };
     if let (None, Some(mask)) = (&coverage, mask) {
-        coverage = Some(
-            mask.rgb
-                .iter()
-                .map(|&p| f32::from(u8::from(is_white(p))))
-                .collect(),
-        );
+        let white = mask.white.iter();
+        coverage = Some(white.map(|&white| f32::from(u8::from(white))).collect());
     }
     let mut usable = vec![true; rgb.len()];
     let mut counts = PixelCounts::default();
     for (i, pixel) in rgb.iter_mut().enumerate() {
-        let masked = mask.is_some_and(|mask| !is_white(mask.rgb[i]));
+        let masked = mask.is_some_and(|mask| !mask.white[i]);
         let cover = coverage.as_ref().map_or(1.0, |coverage| coverage[i]);
         let bad = if masked {
             Some(&mut counts.masked)
@@ -448,14 +466,9 @@ fn clean(picture: Picture, mask: Option<&Picture>) -> (Photograph, PixelCounts) 
         radiance: rgb,
         coverage,
         usable,
+        crop: None,
     };
     (photograph, counts)
-}
-
-/// Whether a mask keeps a pixel.
-fn is_white([r, g, b]: [f32; 3]) -> bool {
-    // Half of full scale in sRGB code values, 0.214 in linear light.
-    r.max(g).max(b) > 0.2
 }
 
 /// Refuses images without a single pixel of data.
@@ -498,11 +511,8 @@ fn place_cameras(
     if manifest.applied.is_some() {
         let undone: Vec<DAffine3> = views.iter().map(|v| v.camera.world_from_camera).collect();
         for (view, frame) in views.iter_mut().zip(&manifest.frames) {
-            let size = (view.camera.width, view.camera.height);
-            view.camera = frame
-                .lens
-                .camera(size, frame.stated_pose)
-                .seen_about(mesh.origin);
+            let camera = camera_of(frame, &view.photograph, frame.stated_pose);
+            view.camera = camera.seen_about(mesh.origin);
         }
         if seen(views) {
             warnings.push(

@@ -19,7 +19,8 @@ use exr::meta::header::Header;
 use exr::prelude::{FlatImage, FlatSamples, MetaData, ReadChannels, ReadLayers};
 use half::slice::HalfFloatSliceExt;
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageReader};
+use image::{ColorType as C, DynamicImage, ImageDecoder, ImageReader};
+use rayon::prelude::*;
 use rekindle_base::files;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::ops::Range;
@@ -68,8 +69,83 @@ pub(super) struct Picture {
     pub saturated: Vec<bool>,
     /// How values were stored.
     pub encoding: Encoding,
-    /// Straight RGB as stored in 8 or 16 bits, on a scale of 16.
-    pub codes: Option<Vec<[u16; 3]>>,
+    /// Straight RGB as stored in 8 or 16 bits.
+    pub codes: Option<Codes>,
+}
+
+/// Integers that a file stores, as the decoder gives them.
+#[derive(Debug)]
+pub(super) enum Codes {
+    /// Of 8 bits, so many to a pixel, colour first.
+    Eight(Vec<u8>, usize),
+    /// Of 16 bits, the same.
+    Sixteen(Vec<u16>, usize),
+}
+
+impl Codes {
+    /// Red, green and blue of a pixel on a scale of 16 bits.
+    #[inline]
+    pub(super) fn at(&self, pixel: usize) -> [u16; 3] {
+        match self {
+            Self::Eight(values, channels) => {
+                [0, 1, 2].map(|c| u16::from(values[pixel * channels + c]) * 257)
+            }
+            Self::Sixteen(values, channels) => [0, 1, 2].map(|c| values[pixel * channels + c]),
+        }
+    }
+}
+
+/// Which pixels of a picture are kept.
+pub(super) struct Mask {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Whether each pixel is white.
+    pub white: Vec<bool>,
+}
+
+impl Mask {
+    /// Reads an image file that `field` of the manifest names, `turned` as its orientation says.
+    pub(super) fn read(path: &Path, field: &str, turned: bool) -> Result<Self, CaptureError> {
+        let bytes = read_file(path, field)?;
+        let any_size = |_| Ok(());
+        if !bytes.starts_with(&EXR_MAGIC) {
+            let image = decode_common(path, &bytes, turned, &any_size)?;
+            if let C::L8 | C::Rgb8 = image.color() {
+                let (width, height) = (image.width(), image.height());
+                let table: Vec<bool> = (0..=255).map(|code| is_white(srgb_code(code))).collect();
+                let channels = usize::from(image.color().channel_count());
+                let pixels = image.as_bytes().chunks_exact(channels);
+                let brightest = |pixel: &[u8]| pixel.iter().fold(0, |most, &code| most.max(code));
+                return Ok(Self {
+                    width,
+                    height,
+                    white: pixels.map(|p| table[usize::from(brightest(p))]).collect(),
+                });
+            }
+        }
+        let picture = Picture::decode(path, &bytes, turned, &any_size)?;
+        let brightest = |[r, g, b]: &[f32; 3]| r.max(*g).max(*b);
+        Ok(Self {
+            width: picture.width,
+            height: picture.height,
+            white: (picture.rgb.iter())
+                .map(|pixel| is_white(brightest(pixel)))
+                .collect(),
+        })
+    }
+}
+
+/// Whether a mask keeps a pixel whose largest channel is this.
+fn is_white(largest: f32) -> bool {
+    // Half of full scale in sRGB code values, 0.214 in linear light.
+    largest > 0.2
+}
+
+/// What a code of 8 bits stands for.
+fn srgb_code(code: u8) -> f32 {
+    srgb_to_linear(f32::from(code) / 255.0)
 }
 
 impl Picture {
@@ -459,6 +535,35 @@ fn read_common(
     turned: bool,
     check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
 ) -> Result<Picture, CaptureError> {
+    let image = decode_common(path, bytes, turned, check_size)?;
+    let (width, height) = (image.width(), image.height());
+    // JPEG's quantisation moves clipped pixels down by a code or so.
+    let full = if is_jpeg(bytes) { 253 } else { 255 };
+    let Decoded {
+        encoding,
+        rgb,
+        alpha,
+        saturated,
+        codes,
+    } = decode(image, full);
+    Ok(Picture {
+        width,
+        height,
+        rgb,
+        alpha,
+        saturated,
+        encoding,
+        codes,
+    })
+}
+
+/// The pixels of a file that is not EXR, as stored, turned if asked for.
+fn decode_common(
+    path: &Path,
+    bytes: &[u8],
+    turned: bool,
+    check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
+) -> Result<DynamicImage, CaptureError> {
     let mut decoder = common_decoder(path, Cursor::new(bytes))?;
     let stored = decoder.dimensions();
     check_pixels(path, u64::from(stored.0), u64::from(stored.1))?;
@@ -482,32 +587,14 @@ fn read_common(
     let mut image = DynamicImage::from_decoder(decoder)
         .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
     image.apply_orientation(orientation);
-    let (width, height) = (image.width(), image.height());
-    let has_alpha = image.color().has_alpha();
-    let jpeg = bytes.starts_with(&[0xff, 0xd8]);
-    if jpeg && !jpeg_ends(bytes) {
+    if is_jpeg(bytes) && !jpeg_ends(bytes) {
         return Err(broken(path, "the file ends too early", COPY_AGAIN));
     }
-    let Decoded {
-        encoding,
-        pixels,
-        saturated,
-        codes,
-    } = decode(image, jpeg);
-    let alpha = has_alpha.then(|| pixels.iter().map(|p| p[3]).collect());
-    let rgb = pixels
-        .iter()
-        .map(|&[r, g, b, a]| [r * a, g * a, b * a])
-        .collect();
-    Ok(Picture {
-        width,
-        height,
-        rgb,
-        alpha,
-        saturated,
-        encoding,
-        codes,
-    })
+    Ok(image)
+}
+
+fn is_jpeg(bytes: &[u8]) -> bool {
+    bytes.starts_with(&[0xff, 0xd8])
 }
 
 /// Whether a JPEG file has its end-of-image marker; decoders fill up truncated files with grey.
@@ -539,56 +626,85 @@ fn jpeg_ends(bytes: &[u8]) -> bool {
 /// The pixels of a file.
 struct Decoded {
     encoding: Encoding,
-    /// Linear straight RGBA.
-    pixels: Vec<[f32; 4]>,
+    /// Linear, premultiplied.
+    rgb: Vec<[f32; 3]>,
+    alpha: Option<Vec<f32>>,
     saturated: Vec<bool>,
-    codes: Option<Vec<[u16; 3]>>,
+    codes: Option<Codes>,
 }
 
-fn decode(image: DynamicImage, jpeg: bool) -> Decoded {
-    use image::ColorType as C;
-    let clipped = |[r, g, b]: [u16; 3], full: u16| r.max(g).max(b) >= full;
+/// Values of an image as radiance; in files of 8 bits codes from `full` on are clipped.
+fn decode(image: DynamicImage, full: u8) -> Decoded {
+    let has_alpha = image.color().has_alpha();
     match image.color() {
         C::L8 | C::La8 | C::Rgb8 | C::Rgba8 => {
-            let table: Vec<f32> = (0..=255)
-                .map(|code| srgb_to_linear(code as f32 / 255.0))
-                .collect();
-            // JPEG's quantisation moves clipped pixels down by a code or so.
-            let full = if jpeg { 253 * 257 } else { 255 * 257 };
-            let image = image.into_rgba8();
-            let pixel = |p: &image::Rgba<u8>| {
-                let [r, g, b] = [0, 1, 2].map(|c| table[usize::from(p.0[c])]);
-                [r, g, b, f32::from(p.0[3]) / 255.0]
+            let table: Vec<f32> = (0..=255).map(srgb_code).collect();
+            let (values, channels) = if has_alpha {
+                (image.into_rgba8().into_raw(), 4)
+            } else {
+                (image.into_rgb8().into_raw(), 3)
             };
-            let code = |p: &image::Rgba<u8>| [0, 1, 2].map(|c| u16::from(p.0[c]) * 257);
-            let codes: Vec<[u16; 3]> = image.pixels().map(code).collect();
+            let value = |code: u8| table[usize::from(code)];
+            let share = |code: u8| f32::from(code) / 255.0;
             Decoded {
                 encoding: Encoding::Srgb8,
-                pixels: image.pixels().map(pixel).collect(),
-                saturated: codes.iter().map(|&code| clipped(code, full)).collect(),
-                codes: Some(codes),
+                rgb: premultiplied(&values, channels, value, share),
+                alpha: has_alpha.then(|| alpha(&values, share)),
+                saturated: clipped(&values, channels, full),
+                codes: Some(Codes::Eight(values, channels)),
             }
         }
         C::L16 | C::La16 | C::Rgb16 | C::Rgba16 => {
-            let image = image.into_rgba16();
-            let pixel = |p: &image::Rgba<u16>| p.0.map(|value| f32::from(value) / 65_535.0);
-            let code = |p: &image::Rgba<u16>| [p.0[0], p.0[1], p.0[2]];
-            let codes: Vec<[u16; 3]> = image.pixels().map(code).collect();
+            let (values, channels) = if has_alpha {
+                (image.into_rgba16().into_raw(), 4)
+            } else {
+                (image.into_rgb16().into_raw(), 3)
+            };
+            let share = |code: u16| f32::from(code) / 65_535.0;
             Decoded {
                 encoding: Encoding::Linear16,
-                pixels: image.pixels().map(pixel).collect(),
-                saturated: codes.iter().map(|&code| clipped(code, 65_535)).collect(),
-                codes: Some(codes),
+                rgb: premultiplied(&values, channels, share, share),
+                alpha: has_alpha.then(|| alpha(&values, share)),
+                saturated: clipped(&values, channels, u16::MAX),
+                codes: Some(Codes::Sixteen(values, channels)),
             }
         }
         _ => {
-            let pixels: Vec<[f32; 4]> = image.into_rgba32f().pixels().map(|p| p.0).collect();
+            let values = image.into_rgba32f().into_raw();
+            let same = |value: f32| value;
             Decoded {
                 encoding: Encoding::Float,
-                saturated: vec![false; pixels.len()],
-                pixels,
+                saturated: vec![false; values.len() / 4],
+                rgb: premultiplied(&values, 4, same, same),
+                alpha: has_alpha.then(|| alpha(&values, same)),
                 codes: None,
             }
         }
     }
+}
+
+/// Colours times the alpha in the fourth channel, if there is one.
+fn premultiplied<T: Copy + Sync>(
+    values: &[T],
+    channels: usize,
+    colour: impl Fn(T) -> f32 + Sync,
+    share: impl Fn(T) -> f32 + Sync,
+) -> Vec<[f32; 3]> {
+    let pixels = values.par_chunks_exact(channels);
+    let pixel = |p: &[T]| {
+        let rgb = [p[0], p[1], p[2]].map(&colour);
+        (p.get(3)).map_or(rgb, |&a| rgb.map(|v| v * share(a)))
+    };
+    pixels.map(pixel).collect()
+}
+
+/// The fourth channel of four.
+fn alpha<T: Copy + Sync>(values: &[T], share: impl Fn(T) -> f32 + Sync) -> Vec<f32> {
+    values.par_chunks_exact(4).map(|p| share(p[3])).collect()
+}
+
+/// Whether a colour of each pixel is at full scale.
+fn clipped<T: Copy + Ord + Sync>(values: &[T], channels: usize, full: T) -> Vec<bool> {
+    let pixels = values.par_chunks_exact(channels);
+    pixels.map(|p| p[0].max(p[1]).max(p[2]) >= full).collect()
 }

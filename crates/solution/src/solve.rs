@@ -292,7 +292,7 @@ fn textures(
 
 /// From where the photographs were taken, with their names.
 fn cameras(views: &[View]) -> Vec<(String, Camera)> {
-    let camera = |view: &View| (view.name.clone(), view.camera.clone());
+    let camera = |view: &View| (view.name.clone(), view.whole_camera());
     views.iter().map(camera).collect()
 }
 

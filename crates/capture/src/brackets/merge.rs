@@ -115,7 +115,7 @@ impl Part {
         let (values, steps) = match &picture.codes {
             None => (picture.rgb[i].map(f64::from), [FINE_STEP; 3]),
             Some(codes) => {
-                let code = codes[i];
+                let code = codes.at(i);
                 let values = [0, 1, 2].map(|c| f64::from(response.exposure(c, code[c])));
                 let width = code_width(picture.encoding);
                 let steps = [0, 1, 2].map(|c| width * f64::from(response.slope(c, code[c])));

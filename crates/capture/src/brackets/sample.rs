@@ -43,8 +43,9 @@ pub(super) fn samples(parts: &[Part]) -> Vec<Sample> {
     samples
 }
 
-fn codes(part: &Part) -> &[[u16; 3]] {
-    part.picture.codes.as_deref().unwrap_or_default()
+fn code(part: &Part, at: usize) -> [u16; 3] {
+    let codes = part.picture.codes.as_ref();
+    codes.map_or([0; 3], |codes| codes.at(at))
 }
 
 /// Class of a pixel, by the code of its longest exposure that isn't clipped, and how rough the picture is around it;
@@ -63,8 +64,7 @@ fn rate(parts: &[Part], at: usize, width: usize) -> Option<(usize, u32)> {
     if !parts.iter().all(opaque) {
         return None;
     }
-    let all = codes(part);
-    let green = |i: usize| u32::from(all[i][1]);
+    let green = |i: usize| u32::from(code(part, i)[1]);
     let (low, high) = around
         .iter()
         .map(|&i| green(i))
@@ -80,7 +80,7 @@ fn sample(parts: &[Part], at: usize, channel: usize) -> Option<Sample> {
         .iter()
         .filter(|part| !part.picture.saturated[at])
         .filter_map(|part| {
-            let code = f64::from(codes(part)[at][channel]) / 65_535.0;
+            let code = f64::from(code(part, at)[channel]) / 65_535.0;
             Some((code, part.amount?.ln()))
         });
     Sample::new(channel, values.collect())

@@ -235,7 +235,7 @@ fn pictures_are_turned_as_their_orientation_says() {
     };
     let picture = read(None).expect("a picture");
     assert_eq!((picture.width, picture.height), SIZE);
-    let corner = picture.codes.expect("codes")[0][0] / 257;
+    let corner = picture.codes.expect("codes").at(0)[0] / 257;
     assert!(
         corner.abs_diff(image.get_pixel(0, 0).0[0].into()) <= 2,
         "{corner}"

@@ -111,6 +111,7 @@ impl Correction {
                 ref radiance,
                 ref coverage,
                 ref usable,
+                crop,
             } = *view.photograph;
             let scaled = radiance
                 .par_iter()
@@ -121,6 +122,7 @@ impl Correction {
                 radiance: scaled.collect(),
                 coverage: coverage.clone(),
                 usable: usable.clone(),
+                crop,
             });
         }
         corrected

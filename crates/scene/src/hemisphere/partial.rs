@@ -246,6 +246,7 @@ mod tests {
                             .collect(),
                     ),
                     usable: vec![true; 200 * 200],
+                    crop: None,
                 }),
             });
             surfaces.push(surface);
