@@ -4,8 +4,8 @@
 //! centre, scaled to unit depth, and c₀ c₁ c₂ the corners in camera space, the edge functions eᵢ = (cⱼ × cₖ) · d are
 //! linear in the pixel's coordinates, the barycentric weights are eᵢ / Σ e and the depth det[c₀ c₁ c₂] / Σ e. Nothing is
 //! divided by a corner's depth, so triangles that reach behind the camera need no clipping, and two triangles that share
-//! an edge compute the same numbers for it and leave no crack. Where the lens distorts, straight edges do not stay
-//! straight and each pixel casts a ray instead.
+//! an edge compute the same numbers for it and leave no crack. Where the lens distorts, the same is computed at where a
+//! pinhole would see what the pixels show; each pixel casts a ray where that can't be said of all the mesh.
 
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
@@ -82,9 +82,7 @@ impl Setup {
             return None;
         }
         let (columns, rows) = if corners.iter().all(|p| -p.z > near) {
-            let seen = corners.map(|p| DVec2::new(p.x, -p.y) / -p.z * camera.focal + camera.centre);
-            let low = seen[0].min(seen[1]).min(seen[2]);
-            let high = seen[0].max(seen[1]).max(seen[2]);
+            let (low, high) = extent(corners, camera);
             (
                 centres_between(low.x, high.x, camera.width),
                 centres_between(low.y, high.y, camera.height),
@@ -120,12 +118,14 @@ impl Setup {
         })
     }
 
-    /// Draws the part of the triangle that falls into rows `first_row..` of a band.
+    /// Draws the part of the triangle that falls into rows `first_row..` of a band; `bent` is where a pinhole would see what the
+    /// pixels show, if they show something else.
     fn draw(
         &self,
         width: usize,
         first_row: u32,
         near: f64,
+        bent: Option<&Bent>,
         triangle: &mut [u32],
         depth: &mut [f32],
     ) {
@@ -136,10 +136,17 @@ impl Setup {
             let row = DVec3::new(0.5, f64::from(y) + 0.5, 1.0);
             let [e0, e1, e2] = self.edges.map(|e| e.dot(row));
             for x in self.columns.0..self.columns.1 {
-                let step = f64::from(x);
-                let w0 = e0 + step * self.edges[0].x;
-                let w1 = e1 + step * self.edges[1].x;
-                let w2 = e2 + step * self.edges[2].x;
+                let [w0, w1, w2] = if let Some(bent) = bent {
+                    let place = bent.at(x, y).extend(1.0);
+                    self.edges.map(|e| e.dot(place))
+                } else {
+                    let step = f64::from(x);
+                    [
+                        e0 + step * self.edges[0].x,
+                        e1 + step * self.edges[1].x,
+                        e2 + step * self.edges[2].x,
+                    ]
+                };
                 if w0 < 0.0 || w1 < 0.0 || w2 < 0.0 {
                     continue;
                 }
@@ -159,7 +166,82 @@ impl Setup {
     }
 }
 
-/// Front-most triangle and depth per pixel of a pinhole camera.
+/// The least and the largest pixel coordinates at which a triangle before the camera may be seen.
+fn extent(corners: [DVec3; 3], camera: &Camera) -> (DVec2, DVec2) {
+    let around = |points: &[DVec2]| {
+        let low = points.iter().copied().fold(DVec2::INFINITY, DVec2::min);
+        let high = points.iter().copied().fold(DVec2::NEG_INFINITY, DVec2::max);
+        (low, high)
+    };
+    if camera.distortion.is_none() {
+        return around(
+            &corners.map(|p| DVec2::new(p.x, -p.y) / -p.z * camera.focal + camera.centre),
+        );
+    }
+    let [a, b, c] = corners;
+    let seen = [a, b, c, 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)]
+        .map(|p| camera.project_from_camera(p).unwrap_or(camera.centre));
+    // Edges are bent, most in their middle, so that they reach no further beyond what is seen of it than it is off the chord.
+    let bow = |from: usize, to: usize, middle: usize| {
+        let chord = seen[to] - seen[from];
+        let off = chord.perp_dot(seen[middle] - seen[from]).abs();
+        off / chord.length().max(1e-9)
+    };
+    let margin = 1.0 + bow(0, 1, 3).max(bow(1, 2, 4)).max(bow(2, 0, 5));
+    let (low, high) = around(&seen);
+    (low - margin, high + margin)
+}
+
+/// Where a pinhole would see what the pixels of a rectangle show through a lens that distorts.
+struct Bent {
+    first: [u32; 2],
+    width: usize,
+    places: Vec<DVec2>,
+}
+
+impl Bent {
+    fn new(camera: &Camera, columns: (u32, u32), rows: (u32, u32)) -> Self {
+        let place = |x, y| {
+            let distorted = (pixel_centre(x, y) - camera.centre) / camera.focal;
+            camera.distortion.remove(distorted) * camera.focal + camera.centre
+        };
+        Self {
+            first: [columns.0, rows.0],
+            width: (columns.1 - columns.0) as usize,
+            places: (rows.0..rows.1)
+                .flat_map(|y| (columns.0..columns.1).map(move |x| place(x, y)))
+                .collect(),
+        }
+    }
+
+    /// That of all pixels of a band that some triangles may cover; `None` without a lens that distorts.
+    fn around<'s>(
+        camera: &Camera,
+        setups: impl Iterator<Item = &'s Setup>,
+        rows: (u32, u32),
+    ) -> Option<Self> {
+        if camera.distortion.is_none() {
+            return None;
+        }
+        let columns = setups.fold((camera.width, 0), |(first, last), setup| {
+            (first.min(setup.columns.0), last.max(setup.columns.1))
+        });
+        (columns.0 < columns.1).then(|| Self::new(camera, columns, rows))
+    }
+
+    #[inline]
+    fn at(&self, x: u32, y: u32) -> DVec2 {
+        self.places[(y - self.first[1]) as usize * self.width + (x - self.first[0]) as usize]
+    }
+}
+
+/// Whether all of a mesh lies where the model of a camera's distortion applies.
+fn is_in_view(mesh: &Mesh, camera: &Camera) -> bool {
+    let seen = |p: &Vec3| camera.project(p.as_dvec3()).is_some();
+    camera.distortion.is_none() || mesh.positions.par_iter().all(seen)
+}
+
+/// Front-most triangle and depth per pixel; through a lens that distorts, of a mesh that [`is_in_view`].
 fn rasterise(mesh: &Mesh, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
     let corners: Vec<DVec3> = mesh
         .positions
@@ -191,8 +273,11 @@ fn rasterise(mesh: &Mesh, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
             .zip(depth.par_chunks_mut(band));
         bands.enumerate().for_each(|(index, (triangle, depth))| {
             let first_row = index as u32 * BAND_ROWS;
-            for setup in batches.iter().flat_map(|batch| batch.in_band(index)) {
-                setup.draw(width, first_row, near, triangle, depth);
+            let rows = (first_row, first_row + (triangle.len() / width) as u32);
+            let setups = || batches.iter().flat_map(|batch| batch.in_band(index));
+            let bent = Bent::around(camera, setups(), rows);
+            for setup in setups() {
+                setup.draw(width, first_row, near, bent.as_ref(), triangle, depth);
             }
         });
     }
@@ -268,7 +353,7 @@ fn cast(occluder: &Occluder, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
 
 /// Front-most triangle ([`NO_TRIANGLE`] where there is none) and depth at every pixel's centre.
 pub fn front_most(mesh: &Mesh, occluder: &Occluder, camera: &Camera) -> (Vec<u32>, Vec<f32>) {
-    if camera.distortion.is_none() {
+    if is_in_view(mesh, camera) {
         rasterise(mesh, camera)
     } else {
         cast(occluder, camera)
@@ -446,6 +531,8 @@ impl ViewSurface {
     fn joined_in_row(&self, mesh: &Mesh, camera: &Camera, y: u32) -> Vec<[bool; 2]> {
         let width = self.width as usize;
         let mut planes = Planes::new(mesh, camera);
+        // Of this row and the next; of pixels that show nothing none is asked for.
+        let rays = [y, (y + 1).min(self.height - 1)].map(|y| self.rays_of_row(camera, y));
         let mut joined = |from: [u32; 2], to: [u32; 2]| {
             let [p, q] = [from, to].map(|[x, y]| y as usize * width + x as usize);
             let (tp, tq) = (self.triangle[p], self.triangle[q]);
@@ -453,8 +540,7 @@ impl ViewSurface {
                 return false;
             }
             tp == tq || {
-                let [to_p, to_q] =
-                    [from, to].map(|[x, y]| unit_depth_ray(camera, pixel_centre(x, y)));
+                let [to_p, to_q] = [from, to].map(|[x, row]| rays[(row - y) as usize][x as usize]);
                 let extended = [1.0 / planes.of(tp).dot(to_q), 1.0 / planes.of(tq).dot(to_p)];
                 self.runs_on([p, q], extended, camera)
             }
@@ -465,6 +551,20 @@ impl ViewSurface {
             [right, below]
         };
         (0..self.width).map(at).collect()
+    }
+
+    /// The rays of unit depth of a row's pixels; zero where they show nothing.
+    fn rays_of_row(&self, camera: &Camera, y: u32) -> Vec<DVec3> {
+        let width = self.width as usize;
+        let shown = &self.triangle[y as usize * width..][..width];
+        let ray = |(x, &triangle): (u32, &u32)| {
+            if triangle == NO_TRIANGLE {
+                DVec3::ZERO
+            } else {
+                unit_depth_ray(camera, pixel_centre(x, y))
+            }
+        };
+        (0..).zip(shown).map(ray).collect()
     }
 
     /// Whether two neighbours of different triangles show one piece of surface: the plane of either, extended to the other,
@@ -583,6 +683,49 @@ mod tests {
         };
         assert!(off(1e-5) < object / 1000, "{} depths differ", off(1e-5));
         assert_eq!(off(1e-3), 0);
+    }
+
+    #[test]
+    fn the_rasteriser_sees_through_a_distorting_lens_what_ray_casts_see() {
+        let square = |half: f32| {
+            [(-half, -half), (half, -half), (half, half), (-half, half)]
+                .map(|(x, y)| Vec3::new(x, y, 0.0))
+        };
+        // Edges across all of the picture bend most.
+        let large = Mesh {
+            origin: glam::DVec3::ZERO,
+            positions: square(1.2).to_vec(),
+            normals: vec![Vec3::Z; 4],
+            uvs: Vec::new(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+        };
+        for (mesh, k) in [
+            (bumpy_sphere(100, 0.15), -0.3),
+            (large.clone(), -0.3),
+            (large, 0.4),
+        ] {
+            let mut camera = camera(DVec3::new(0.2, 0.3, 4.0), DVec3::ZERO, 320, 240, 1.5);
+            camera.distortion.k[0] = k;
+            camera.distortion.p = [0.001, 0.002];
+            assert!(is_in_view(&mesh, &camera));
+            let (triangle, depth) = rasterise(&mesh, &camera);
+            let (cast_triangle, cast_depth) = cast(&Occluder::new(&mesh), &camera);
+            let pixels = || 0..triangle.len();
+            let object = pixels()
+                .filter(|&p| cast_triangle[p] != NO_TRIANGLE)
+                .count();
+            let other = pixels()
+                .filter(|&p| triangle[p] != cast_triangle[p])
+                .count();
+            assert!(
+                object > 10_000 && other <= object / 1000,
+                "{other} of {object}"
+            );
+            let off = pixels()
+                .filter(|&p| triangle[p] == cast_triangle[p] && triangle[p] != NO_TRIANGLE)
+                .filter(|&p| (depth[p] - cast_depth[p]).abs() > 1e-3 * depth[p]);
+            assert_eq!(off.count(), 0);
+        }
     }
 
     #[test]
