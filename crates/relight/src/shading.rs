@@ -38,8 +38,9 @@ const SHARP_REACH: f32 = 0.12;
 const MANY_NODES: usize = 24;
 /// … this many.
 const SCOUTS: usize = 12;
-/// Rays per patch of an environment.
+/// Rays per patch of an environment, and of a wide lamp where it has a larger angular radius (radians) than this.
 const SOFT_RAYS: usize = 4;
+const ONE_RAY: f32 = 0.12;
 /// A lobe of roughness σ does not resolve a lamp of an angular radius below this part of σ |l + v|: the half vector turns
 /// by the radius over |l + v|.
 const UNRESOLVED: f32 = 0.6;
@@ -196,7 +197,10 @@ impl Group {
         let directions: Vec<Vec3> = lit.iter().map(|n| n.direction).collect();
         let soft = role != Role::Lamp;
         let probes = match role {
-            Role::Patch => innermost(&directions, lamp.direction).into_iter().collect(),
+            Role::Patch if reach <= ONE_RAY => {
+                innermost(&directions, lamp.direction).into_iter().collect()
+            }
+            Role::Patch => spread(nodes.len()),
             Role::Environment => {
                 let count = SOFT_RAYS.min(nodes.len());
                 (0..count).map(|i| i * nodes.len() / count).collect()
@@ -311,7 +315,8 @@ enum Role {
     Lamp,
     /// A patch of an environment, of which a point sees a fraction that varies smoothly.
     Environment,
-    /// A patch of a wide lamp, the same, and one of so many beside each other that one ray and one direction do for each.
+    /// A patch of a wide lamp, the same, and one of so many beside each other that one direction does for each, and one ray for
+    /// small ones.
     Patch,
 }
 
@@ -336,6 +341,13 @@ fn extremal(directions: &[Vec3], axis: Vec3) -> Vec<usize> {
         .collect();
     probes.extend(innermost(directions, axis));
     probes
+}
+
+/// A few of so many nodes in a row, each in the middle of a part of it.
+fn spread(nodes: usize) -> Vec<usize> {
+    let count = SOFT_RAYS.min(nodes);
+    let middle = |i: usize| (2 * i + 1) * nodes / (2 * count);
+    (0..count).map(middle).collect()
 }
 
 /// The node nearest to the axis.
@@ -776,9 +788,9 @@ fn resolves(brdf: Brdf, reach: f32, axis: Vec3, view: Vec3) -> bool {
 /// and there are not too many.
 fn patch_reach(brdf: Option<Brdf>) -> f32 {
     const SMALLEST: f32 = 0.05;
-    const LARGEST: f32 = 0.12;
+    const LARGEST: f32 = 0.24;
     const GRAZING: f32 = 1.5;
-    let unresolved = brdf.map_or(LARGEST, |b| UNRESOLVED * b.sigma * GRAZING);
+    let unresolved = brdf.map_or(ONE_RAY, |b| UNRESOLVED * b.sigma * GRAZING);
     unresolved.clamp(SMALLEST, LARGEST)
 }
 
