@@ -1,4 +1,4 @@
-//! `rekindle bench`: error against run time.
+//! `rekindle bench`: error against run time, and photographs predicted from others.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,9 @@ use super::render::check_output;
 use super::solve::MethodArg;
 use super::{OutputArgs, json_path, print_json, print_line};
 use rekindle_base::staging::{Staging, cannot_write};
-use rekindle_lab::bench::{Audience, BenchError, Plan, run as compare};
+use rekindle_estimate::estimate::EstimateParams;
+use rekindle_lab::bench::{Audience, BenchError, Plan, leave_one_out, run as compare, table};
+use rekindle_solution::SolveOptions;
 
 /// Arguments of `rekindle bench`.
 #[derive(clap::Args)]
@@ -18,8 +20,17 @@ pub(super) struct BenchArgs {
     #[arg(required = true, value_name = "CAPTURE")]
     captures: Vec<PathBuf>,
     /// Folder for tables and plots
-    #[arg(short, long, value_name = "DIR")]
-    output: PathBuf,
+    #[arg(
+        short,
+        long,
+        value_name = "DIR",
+        required_unless_present = "leave_one_out"
+    )]
+    output: Option<PathBuf>,
+    /// Predict each photograph from the others, of any capture: PSNR over all pixels and over the brightest tenth, beside the
+    /// same with all taken as diffuse; prints a table
+    #[arg(long, conflicts_with_all = ["output", "methods", "rounds"])]
+    leave_one_out: bool,
     /// Methods to compare, separated by commas; ratios are to the first
     #[arg(
         long,
@@ -47,7 +58,10 @@ impl Audience for Progress {
 }
 
 pub(super) fn run(args: &BenchArgs, output: OutputArgs) -> anyhow::Result<()> {
-    let settled = check_output(&args.output)?;
+    let Some(folder) = &args.output else {
+        return predict(args, output);
+    };
+    let settled = check_output(folder)?;
     let mut methods: Vec<_> = Vec::new();
     for method in args.methods.iter().map(|method| method.method()) {
         if !methods.contains(&method) {
@@ -67,10 +81,33 @@ pub(super) fn run(args: &BenchArgs, output: OutputArgs) -> anyhow::Result<()> {
         other => other?,
     };
     interrupt::check()?;
-    let staging = Staging::within(&args.output).map_err(cannot_write(&args.output))?;
-    written(staging, &args.output, &progress, output, |folder| {
+    let staging = Staging::within(folder).map_err(cannot_write(folder))?;
+    written(staging, folder, &progress, output, |folder| {
         report.write(folder)
     })
+}
+
+/// Each photograph from the others.
+fn predict(args: &BenchArgs, output: OutputArgs) -> anyhow::Result<()> {
+    let options = SolveOptions {
+        estimate: EstimateParams::default(),
+        frequency: args.frequency,
+        radius: None,
+    };
+    let mut progress = Progress::new(output);
+    let predicted = match leave_one_out(&args.captures, &options, &mut progress) {
+        Err(BenchError::Stopped) => return Err(Interrupted.into()),
+        other => other?,
+    };
+    progress.finish();
+    if output.json {
+        print_json(&serde_json::json!({ "predicted": predicted }));
+    } else {
+        for line in table(&predicted).lines() {
+            print_line(line);
+        }
+    }
+    Ok(())
 }
 
 /// Adds the files that `write` makes in a folder, whose names it returns, to the folder asked for, and says so.

@@ -100,6 +100,8 @@ enum Command {
     /// the truth's. A good result on such a capture is necessary, not sufficient.
     Synth(synth::SynthArgs),
     /// Compare methods on captures with known truth: error against run time
+    ///
+    /// With --leave-one-out captures of real objects will do, of which nothing but the photographs is known.
     Bench(bench::BenchArgs),
     /// Study how far the estimate can be trusted and what it costs, on captures made for it
     ///

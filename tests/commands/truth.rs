@@ -160,6 +160,29 @@ fn a_made_capture_is_solved_and_benched_as_any_other() {
 }
 
 #[test]
+fn each_photograph_is_predicted_from_the_others_better_by_lights_than_without() {
+    let folder = tempfile::tempdir().unwrap();
+    small_capture(folder.path(), 5);
+    let path = folder.path().to_str().unwrap();
+    let run = succeed(&["bench", "--leave-one-out", path, "--quiet", "--json"]);
+    let said: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let views = said["predicted"].as_array().unwrap();
+    assert_eq!(views.len(), 5, "{said}");
+    for view in views {
+        let highlights = |of: &str| view[of]["highlights"].as_f64().unwrap();
+        let all = |of: &str| view[of]["all"].as_f64().unwrap();
+        assert!(all("predicted") > 35.0, "{view}");
+        assert!(all("predicted") > all("diffuse"), "{view}");
+        assert!(
+            highlights("predicted") > highlights("diffuse") + 6.0,
+            "{view}"
+        );
+    }
+    let message = refused(&["bench", "--leave-one-out", path, "-o", path]);
+    assert!(message.contains("--output"), "{message}");
+}
+
+#[test]
 fn a_study_judges_every_case_and_leaves_nothing_but_its_report() {
     let folder = tempfile::tempdir().unwrap();
     let into = folder.path().join("report");

@@ -40,7 +40,7 @@ pub use environment::LatLong;
 pub use interreflection::{Field, Interreflection, Relit};
 pub use irradiance::texel_irradiance;
 pub use lighting::{LampNodes, LightNode, Lighting, ProbeUnits};
-pub use measure::psnr;
+pub use measure::{brighter_than, psnr, psnr_below, white};
 pub use reflection::Surroundings;
 pub use render::{Band, Diffuse, GlossMap, Picture, Scene, Stop, render, render_bands};
 pub use samples::{Sample, Samples};

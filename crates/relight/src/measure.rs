@@ -10,14 +10,18 @@ const ABOVE_WHITE: f32 = 0.005;
 /// Pixels that are added up by one thread.
 const RUN: usize = 4096;
 
-/// PSNR of sRGB-encoded radiances of the same pixels, dB; white is the reference's 99.5th percentile of mean RGB, between
-/// pixels by linear interpolation. At most 120 dB; 0 where there are no pixels.
+/// PSNR of sRGB-encoded radiances of the same pixels, dB; white is the reference's own, [`white`]. At most 120 dB; 0 where there are no pixels.
 pub fn psnr(reference: &[Vec3], found: &[Vec3]) -> f32 {
+    psnr_below(white(reference), reference, found)
+}
+
+/// [`psnr`] with another white than the reference's own: for a part of a picture.
+pub fn psnr_below(white: f32, reference: &[Vec3], found: &[Vec3]) -> f32 {
     assert_eq!(reference.len(), found.len(), "the same pixels");
     if reference.is_empty() {
         return 0.0;
     }
-    let white = white(reference).max(f32::MIN_POSITIVE);
+    let white = white.max(f32::MIN_POSITIVE);
     let square = |(&a, &b)| f64::from((srgb(b / white) - srgb(a / white)).length_squared());
     // The order of a sum is that of its runs, whatever the number of threads.
     let runs: Vec<f64> = reference
@@ -30,9 +34,18 @@ pub fn psnr(reference: &[Vec3], found: &[Vec3]) -> f32 {
     (-10.0 * mean.max(1e-12).log10()) as f32
 }
 
-fn white(reference: &[Vec3]) -> f32 {
+/// A picture's 99.5th percentile of mean RGB, between pixels by linear interpolation.
+pub fn white(reference: &[Vec3]) -> f32 {
+    brighter_than(1.0 - ABOVE_WHITE, reference)
+}
+
+/// What this part of the pixels lies below in mean RGB, between pixels by linear interpolation; 0 where there are no pixels.
+pub fn brighter_than(part: f32, reference: &[Vec3]) -> f32 {
     let mut means: Vec<f32> = reference.iter().map(|r| r.element_sum() / 3.0).collect();
-    let place = (means.len() - 1) as f32 * (1.0 - ABOVE_WHITE);
+    let Some(last) = means.len().checked_sub(1) else {
+        return 0.0;
+    };
+    let place = last as f32 * part;
     let (_, &mut low, above) = means.select_nth_unstable_by(place as usize, f32::total_cmp);
     let next = above.iter().copied().fold(f32::INFINITY, f32::min);
     if next.is_finite() {

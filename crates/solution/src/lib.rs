@@ -25,6 +25,7 @@
 //! # }
 //! ```
 
+mod diffuse_alone;
 mod error;
 mod exr_file;
 mod format;
@@ -34,6 +35,7 @@ mod origin;
 mod placed;
 mod solve;
 
+pub use diffuse_alone::diffuse_alone;
 pub use error::SolutionError;
 pub use exr_file::{write_rgb, write_rgba};
 pub use format::{Fit, Skipped};

@@ -29,6 +29,14 @@ pub enum BenchError {
         /// What is wrong with it.
         what: String,
     },
+    /// The capture has no other view to predict one from.
+    #[error(
+        "{path}: it has one view, which no other can predict; give captures of two views or more"
+    )]
+    OneView {
+        /// The capture.
+        path: PathBuf,
+    },
     /// The capture, a camera or a true picture can't be read.
     #[error(transparent)]
     Capture(#[from] CaptureError),

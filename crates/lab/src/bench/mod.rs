@@ -3,9 +3,11 @@
 //! [`run`] solves captures with known truth by several methods, in turn, and [`Report`] writes what came of it: a row for
 //! every iteration, a row for every solve, tables and plots. The measures are those of `evaluate.py`, which comes with the
 //! path-traced captures. Nothing but this room reads `truth/`.
+//! [`leave_one_out`] needs none: it predicts each photograph from the others.
 
 mod chart;
 mod error;
+mod leave_one_out;
 mod measures;
 mod plot;
 mod record;
@@ -16,6 +18,7 @@ mod views;
 
 pub(crate) use chart::{Axis, Curve, Dot, Panel, draw, number};
 pub use error::BenchError;
+pub use leave_one_out::{Predicted, PredictionError, leave_one_out, table};
 pub use measures::{Errors, FoundLamp, Measures, hemisphere_error, lamp_errors};
 pub use record::{Run, Step};
 pub use report::Report;
