@@ -1,9 +1,13 @@
-//! Of large photographs only the rectangle about the object is kept: nothing else is asked for once a capture is solved.
+//! Of large photographs only the rectangle about the object is kept: nothing else is asked for once a capture is solved. Of many
+//! large ones blocks of pixels are taken together: lights and roughness come out the same from 0.1 megapixels a view on, and a
+//! texture that many views show in fewer pixels is as certain.
 
 use std::ops::Range;
 
+use rayon::prelude::*;
+
 use super::{Camera, Photograph, View};
-use glam::DVec2;
+use glam::{DVec2, Vec3};
 
 /// Photographs of fewer pixels are kept whole: nothing is gained.
 const LARGE: usize = 2_000_000;
@@ -14,18 +18,98 @@ const MARGIN: f64 = 1.0 / 16.0;
 /// Whole blocks of so many pixels are cut off on the left and above, so that what works in blocks cuts the rest as before.
 const BLOCK: usize = 32;
 
+/// Pixels that all views together may keep, and that one may keep however many there are.
+const ALL_VIEWS: usize = 64_000_000;
+const ONE_VIEW: usize = 2_500_000;
+
+/// What is kept of photographs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kept {
+    /// Every pixel.
+    All,
+    /// Of large ones those about the object.
+    Object,
+    /// The same, in blocks where one of so many views would keep more than its share.
+    Shared(usize),
+}
+
 /// A part of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Crop {
-    /// Columns and rows before its first pixel.
+    /// Columns and rows of the picture before its first pixel.
     pub first: [u32; 2],
     /// Width and height of the picture.
     pub whole: [u32; 2],
+    /// Pixels of the picture along each side of one of its own.
+    pub block: u32,
+}
+
+impl Kept {
+    /// Pixels of a photograph that are kept at most, if that is limited.
+    pub(super) fn at_most(self) -> Option<usize> {
+        match self {
+            Self::All | Self::Object => None,
+            Self::Shared(views) => Some((ALL_VIEWS / views.max(1)).max(ONE_VIEW)),
+        }
+    }
+
+    /// What is kept of a photograph.
+    pub(super) fn of(self, photograph: Photograph) -> Photograph {
+        if self == Self::All {
+            return photograph;
+        }
+        let kept = photograph.about_object();
+        let most = self.at_most().unwrap_or(usize::MAX);
+        let block = (1..).find(|block| kept.usable.len() / (block * block) <= most);
+        kept.in_blocks(block.unwrap_or(1))
+    }
 }
 
 impl Photograph {
+    /// The means over blocks of so many pixels along each side; what can't be used of a block spoils it.
+    fn in_blocks(self, block: usize) -> Self {
+        if block == 1 {
+            return self;
+        }
+        let [width, height] = [self.width as usize, self.height as usize].map(|side| side / block);
+        let pixels = |i: usize| {
+            let first = i / width * block * self.width as usize + i % width * block;
+            (0..block * block).map(move |k| first + k / block * self.width as usize + k % block)
+        };
+        let share = 1.0 / (block * block) as f32;
+        let all = || (0..width * height).into_par_iter();
+        let usable: Vec<bool> = all().map(|i| pixels(i).all(|p| self.usable[p])).collect();
+        let mean = |i: usize| match usable[i] {
+            true => pixels(i)
+                .map(|p| Vec3::from(self.radiance[p]) * share)
+                .sum::<Vec3>()
+                .to_array(),
+            false => [0.0; 3],
+        };
+        let covered = |c: &Vec<f32>| {
+            let mean = |i: usize| pixels(i).map(|p| c[p]).sum::<f32>() * share;
+            all().map(mean).collect()
+        };
+        let crop = self.crop.unwrap_or(Crop {
+            first: [0; 2],
+            whole: [self.width, self.height],
+            block: 1,
+        });
+        Self {
+            width: width as u32,
+            height: height as u32,
+            radiance: all().map(mean).collect(),
+            coverage: self.coverage.as_ref().map(covered),
+            crop: Some(Crop {
+                block: block as u32,
+                ..crop
+            }),
+            usable,
+        }
+    }
+
     /// The part of a large photograph that shows the object, by its coverage; all of it where that isn't known.
-    pub(super) fn about_object(self) -> Self {
+    fn about_object(self) -> Self {
         let size = [self.width as usize, self.height as usize];
         let Some([columns, rows]) = self.object() else {
             return self;
@@ -43,6 +127,7 @@ impl Photograph {
             crop: Some(Crop {
                 first: [columns.start as u32, rows.start as u32],
                 whole: [self.width, self.height],
+                block: 1,
             }),
         }
     }
@@ -84,12 +169,14 @@ fn part<T: Copy>(
 }
 
 impl Camera {
-    /// The same camera that takes a part of its picture, of `size` pixels after the `first`.
-    pub(super) fn cropped(self, first: [u32; 2], [width, height]: [u32; 2]) -> Self {
+    /// The same camera that takes `crop` of its picture, of `size` pixels.
+    pub(super) fn cropped(self, crop: Crop, [width, height]: [u32; 2]) -> Self {
+        let block = f64::from(crop.block);
         Self {
             width,
             height,
-            centre: self.centre - first_pixel(first),
+            focal: self.focal / block,
+            centre: (self.centre - crop.first_pixel()) / block,
             ..self
         }
     }
@@ -99,23 +186,26 @@ impl View {
     /// The camera that takes the whole picture of its file.
     pub fn whole_camera(&self) -> Camera {
         let camera = self.camera.clone();
-        match self.photograph.crop {
-            None => camera,
-            Some(Crop {
-                first,
-                whole: [width, height],
-            }) => Camera {
-                width,
-                height,
-                centre: camera.centre + first_pixel(first),
-                ..camera
-            },
+        let Some(crop) = self.photograph.crop else {
+            return camera;
+        };
+        let [width, height] = crop.whole;
+        let block = f64::from(crop.block);
+        Camera {
+            width,
+            height,
+            focal: camera.focal * block,
+            centre: camera.centre * block + crop.first_pixel(),
+            ..camera
         }
     }
 }
 
-fn first_pixel([x, y]: [u32; 2]) -> DVec2 {
-    DVec2::new(f64::from(x), f64::from(y))
+impl Crop {
+    fn first_pixel(&self) -> DVec2 {
+        let [x, y] = self.first;
+        DVec2::new(f64::from(x), f64::from(y))
+    }
 }
 
 #[cfg(test)]
@@ -155,6 +245,46 @@ mod tests {
         let coverage = cropped.coverage.expect("it is known");
         assert_eq!(coverage.iter().sum::<f32>(), 400.0 * 800.0);
         assert_eq!(cropped.usable.iter().filter(|u| **u).count(), 400 * 800);
+    }
+
+    #[test]
+    fn of_many_views_blocks_are_kept_that_show_where_they_were() {
+        let whole = photograph([4000, 3000], [800..2800, 200..2700]);
+        let alone = Kept::Shared(6).of(whole.clone());
+        assert_eq!(alone.crop.map(|crop| crop.block), Some(1));
+        let kept = Kept::Shared(40).of(whole);
+        let crop = kept.crop.expect("a part");
+        assert_eq!((crop.block, kept.width), (2, alone.width / 2));
+        let first = crop.first.map(|at| at as f32);
+        for i in (0..kept.usable.len()).filter(|&i| kept.usable[i]) {
+            let [x, y] = [i as u32 % kept.width, i as u32 / kept.width].map(|at| 2.0 * at as f32);
+            let [r, g, b] = kept.radiance[i];
+            let near = (r - first[0] - x - 0.5)
+                .abs()
+                .max((g - first[1] - y - 0.5).abs());
+            assert!(near < 1e-2 && b == 1.0, "{r} {g}");
+        }
+        let shown = |p: &Photograph| p.coverage.iter().flatten().sum::<f32>();
+        assert_eq!(4.0 * shown(&kept), shown(&alone));
+        // A camera sees a point of the whole picture where it lies in the part.
+        let camera = Camera {
+            width: 4000,
+            height: 3000,
+            focal: DVec2::new(3000.0, 3100.0),
+            centre: DVec2::new(2011.0, 1507.0),
+            distortion: crate::Distortion::default(),
+            world_from_camera: glam::DAffine3::IDENTITY,
+        };
+        let view = View {
+            name: String::new(),
+            camera: camera.clone().cropped(crop, [kept.width, kept.height]),
+            photograph: std::sync::Arc::new(kept),
+        };
+        let point = glam::DVec3::new(0.1, 0.2, -3.0);
+        let [part, all, again] = [&view.camera, &camera, &view.whole_camera()]
+            .map(|camera| camera.project(point).expect("before the camera"));
+        assert!((part * 2.0 + crop.first_pixel()).distance(all) < 1e-9);
+        assert!(again.distance(all) < 1e-9);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::brackets::{self, Brackets, ExposureUse, Part, Response, Settings, Table};
 use super::camera::Camera;
-use super::crop::Crop;
+use super::crop::Kept;
 use super::error::CaptureError;
 use super::isolated::isolated_pixels;
 use super::manifest::{Frame, Manifest};
@@ -21,37 +21,43 @@ const SAMPLES: usize = 20_000;
 
 impl Capture {
     /// Reads a capture from its folder or its `transforms.json`. Of large photographs only the part about the object is kept, if
-    /// coverage says where that is.
+    /// coverage says where that is, and of many of them blocks of pixels in place of each.
     pub fn load(path: &Path) -> Result<Self, CaptureError> {
-        Self::read(path, true, true).map(|(capture, _)| capture)
+        Self::read(path, true, Kept::Shared).map(|(capture, _)| capture)
+    }
+
+    /// [`Capture::load`] with every pixel about the object, however many there are.
+    pub fn load_full(path: &Path) -> Result<Self, CaptureError> {
+        Self::read(path, true, |_| Kept::Object).map(|(capture, _)| capture)
     }
 
     /// Reads a capture with all pixels, and counts the bad ones that its views had, one entry per view.
     pub fn load_counting(path: &Path) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
-        Self::read(path, true, false)
+        Self::read(path, true, |_| Kept::All)
     }
 
     /// [`Capture::load_counting`] of a capture whose mesh may lie where no camera sees it.
     pub fn load_unplaced(path: &Path) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
-        Self::read(path, false, false)
+        Self::read(path, false, |_| Kept::All)
     }
 
     fn read(
         path: &Path,
         placed: bool,
-        cropped: bool,
+        kept: impl Fn(usize) -> Kept,
     ) -> Result<(Self, Vec<PixelCounts>), CaptureError> {
         let mut manifest = Manifest::read(path)?;
         let mut warnings = Vec::from_iter(manifest.leave_out_missing());
         let table = Table::beside(&manifest.folder)?;
         brackets::settle(&mut manifest, &table)?;
         let firsts = needs::first_alike(&manifest.frames);
-        needs::check(&manifest, &firsts)?;
+        let kept = kept(manifest.frames.len());
+        needs::check(&manifest, &firsts, kept)?;
         let read = |frame: &Frame| read_frame(&manifest, frame);
         let several = manifest.frames.iter().filter(|f| f.exposures.len() > 1);
         let response = brackets::response(&several.collect::<Vec<_>>(), &|frame| read(frame))?;
         let (photographs, mesh) = rayon::join(
-            || read_photographs(&manifest, &firsts, &response, cropped),
+            || read_photographs(&manifest, &firsts, &response, kept),
             || {
                 let mesh_path = manifest.mesh_path.as_deref();
                 let file = mesh_file::find(&manifest.folder, mesh_path, &manifest.path)?;
@@ -213,7 +219,7 @@ fn read_photographs(
     manifest: &Manifest,
     firsts: &[usize],
     response: &Response,
-    cropped: bool,
+    kept: Kept,
 ) -> Result<Vec<Option<Read>>, CaptureError> {
     let read: Vec<Result<Option<Read>, CaptureError>> = manifest
         .frames
@@ -221,7 +227,7 @@ fn read_photographs(
         .enumerate()
         .map(|(i, frame)| {
             let own = firsts[i] == i;
-            own.then(|| read_photograph(manifest, frame, response, cropped))
+            own.then(|| read_photograph(manifest, frame, response, kept))
                 .transpose()
         })
         .collect();
@@ -233,20 +239,15 @@ fn read_photograph(
     manifest: &Manifest,
     frame: &Frame,
     response: &Response,
-    cropped: bool,
+    kept: Kept,
 ) -> Result<Read, CaptureError> {
     let merged = brackets::merge(read_frame(manifest, frame)?, response)?;
     let encoding = merged.picture.encoding;
     let mask = read_mask(manifest, frame, &merged.picture)?;
     let (photograph, counts) = clean(merged.picture, mask.as_ref());
     check_useful(&photograph, &frame.exposures[0].path)?;
-    let photograph = if cropped {
-        photograph.about_object()
-    } else {
-        photograph
-    };
     Ok(Read {
-        photograph: Arc::new(photograph),
+        photograph: Arc::new(kept.of(photograph)),
         counts,
         encoding,
         uses: merged.uses,
@@ -257,10 +258,13 @@ fn read_photograph(
 /// The camera at a pose that takes what is kept of a frame's photograph.
 fn camera_of(frame: &Frame, photograph: &Photograph, pose: DAffine3) -> Camera {
     let kept = [photograph.width, photograph.height];
-    let Some(Crop { first, whole }) = photograph.crop else {
+    let Some(crop) = photograph.crop else {
         return frame.lens.camera(kept.into(), pose);
     };
-    frame.lens.camera(whole.into(), pose).cropped(first, kept)
+    frame
+        .lens
+        .camera(crop.whole.into(), pose)
+        .cropped(crop, kept)
 }
 
 /// The mask of a frame, of the size of its picture.

@@ -1,5 +1,6 @@
 //! What memory a capture will take, found from the headers of its images before any of them is decoded.
 
+use super::crop::Kept;
 use super::error::CaptureError;
 use super::manifest::{Frame, Manifest};
 use super::picture;
@@ -30,8 +31,9 @@ pub(super) fn first_alike(frames: &[Frame]) -> Vec<usize> {
         .collect()
 }
 
-/// Refuses a capture that would take more memory than the program may. `firsts` says which frames share their files.
-pub(super) fn check(manifest: &Manifest, firsts: &[usize]) -> Result<(), CaptureError> {
+/// Refuses a capture that would take more memory than the program may. `firsts` says which frames share their files, `kept` what
+/// is kept of them.
+pub(super) fn check(manifest: &Manifest, firsts: &[usize], kept: Kept) -> Result<(), CaptureError> {
     let Some(limit) = memory::limit() else {
         return Ok(());
     };
@@ -47,9 +49,18 @@ pub(super) fn check(manifest: &Manifest, firsts: &[usize]) -> Result<(), Capture
             }
         })
         .collect();
-    let held: u64 = sizes.iter().map(|[_, held]| held).sum();
+    let most = kept.at_most().map_or(u64::MAX, |pixels| pixels as u64);
+    let held: u64 = sizes.iter().map(|[_, held]| held.min(&most)).sum();
     let seen: u64 = firsts.iter().map(|&first| sizes[first][0]).sum();
-    let needed = FILE_BYTES * held + VIEW_BYTES * seen;
+    let shown: u64 = firsts.iter().map(|&first| sizes[first][0].min(most)).sum();
+    // What is held of a file at last is less than what its decoding takes, one file on each thread.
+    let mut decoded: Vec<u64> = sizes
+        .iter()
+        .map(|[_, held]| held.saturating_sub(most))
+        .collect();
+    decoded.sort_unstable_by(|a, b| b.cmp(a));
+    let decoded: u64 = decoded.iter().take(rayon::current_num_threads()).sum();
+    let needed = FILE_BYTES * (held + decoded) + VIEW_BYTES * shown;
     if needed <= limit {
         return Ok(());
     }
