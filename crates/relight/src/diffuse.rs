@@ -114,8 +114,11 @@ pub fn reconstruct(
     let mut footprints: Vec<Footprints> = of_views.map(trace).collect();
     footprints.par_iter_mut().for_each(|f| *f = f.sorted(&sums));
     sums.gather(&footprints, None);
-    let start = sums.clone();
-    let mut texture = start.clone();
+    let confidence = sums
+        .texels()
+        .map(|[.., weight]| weight / (weight + HALF_CONFIDENCE))
+        .collect();
+    let mut texture = sums.clone();
     let texels = texture.values_mut().par_iter_mut();
     texels.for_each(|[r, g, b, weight]| {
         let mean = |sum: f32| {
@@ -152,10 +155,6 @@ pub fn reconstruct(
         .par_iter()
         .zip(views)
         .map(|(f, view)| f.fit(view, &texture))
-        .collect();
-    let confidence = start
-        .texels()
-        .map(|[.., weight]| weight / (weight + HALF_CONFIDENCE))
         .collect();
     DiffuseTexture {
         radiance: texture.texels().map(|[r, g, b, _]| [r, g, b]).collect(),

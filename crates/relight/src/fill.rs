@@ -9,6 +9,8 @@ use rekindle_scene::surface::Atlas;
 
 /// Rounds of diffusion at most: each carries values one edge further.
 const MAX_ROUNDS: usize = 400;
+/// Places that all rounds together visit at most: on meshes of millions of triangles more would take longer than all else.
+const MOST_STEPS: usize = 40_000_000;
 /// Parts in which texels are gathered, each with sums of its own, unless there are too many places for that.
 const PARTS: usize = 4;
 const FEW_PLACES: usize = 500_000;
@@ -150,35 +152,39 @@ fn neighbours(mesh: &Mesh, welded: &[u32], places: usize) -> (Vec<u32>, Vec<u32>
 
 /// Spreads values from the fixed places: first outwards, ring by ring, then smoothed towards the mean of neighbours.
 fn diffuse_over_edges(places: &Places, value: &mut [Option<Vec3>], fixed: &[bool]) {
-    let mean = |value: &[Option<Vec3>], p: usize| {
-        let known: Vec<Vec3> = places
-            .around(p)
-            .iter()
-            .filter_map(|&n| value[n as usize])
-            .collect();
-        (!known.is_empty()).then(|| known.iter().sum::<Vec3>() / known.len() as f32)
+    let mean = |value: &[Option<Vec3>], p: u32| {
+        let known = places.around(p as usize).iter();
+        let known = known.filter_map(|&n| value[n as usize]);
+        let (sum, count) = known.fold((Vec3::ZERO, 0_u32), |(sum, k), v| (sum + v, k + 1));
+        (count > 0).then(|| sum / count as f32)
     };
-    let mut open: Vec<u32> = (0..value.len() as u32)
+    let free: Vec<u32> = (0..value.len() as u32)
         .filter(|&p| !fixed[p as usize])
         .collect();
-    let free = open.clone();
-    while !open.is_empty() {
-        let reached: Vec<(u32, Vec3)> = open
-            .par_iter()
-            .filter_map(|&p| mean(value, p as usize).map(|v| (p, v)))
-            .collect();
-        if reached.is_empty() {
-            // What is left hangs together with nothing known.
-            break;
+    let mut ring: Vec<u32> = free
+        .par_iter()
+        .copied()
+        .filter(|&p| mean(value, p).is_some())
+        .collect();
+    let mut reached = fixed.to_vec();
+    while !ring.is_empty() {
+        let values: Vec<Option<Vec3>> = ring.par_iter().map(|&p| mean(value, p)).collect();
+        for (&p, v) in ring.iter().zip(values) {
+            value[p as usize] = v;
+            reached[p as usize] = true;
         }
-        for (p, v) in reached {
-            value[p as usize] = Some(v);
+        let around = ring.iter().flat_map(|&p| places.around(p as usize));
+        let mut next = Vec::new();
+        for &p in around {
+            if !std::mem::replace(&mut reached[p as usize], true) {
+                next.push(p);
+            }
         }
-        open.retain(|&p| value[p as usize].is_none());
+        ring = next;
     }
-    for _ in 0..MAX_ROUNDS {
-        let smoothed: Vec<Option<Vec3>> =
-            free.par_iter().map(|&p| mean(value, p as usize)).collect();
+    let rounds = (MOST_STEPS / free.len().max(1)).min(MAX_ROUNDS);
+    for _ in 0..rounds {
+        let smoothed: Vec<Option<Vec3>> = free.par_iter().map(|&p| mean(value, p)).collect();
         let mut change = 0.0_f32;
         for (&p, v) in free.iter().zip(smoothed) {
             let old = value[p as usize];

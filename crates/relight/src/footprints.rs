@@ -296,7 +296,41 @@ impl Footprints {
     /// What a texture leaves of a pixel's diffuse radiance.
     #[inline(always)]
     pub(super) fn residual(&self, i: usize, texture: &Canvas) -> Vec3 {
+        if self.has_single_taps() {
+            return self.residual_at(i, self.pair_of_rows(i, texture.stride()), texture);
+        }
         self.residual_in(i, &self.windows(i, texture.stride()), texture)
+    }
+
+    /// Texels that the only tap of a pixel reads, by the first of each row, with their shares.
+    #[inline(always)]
+    fn pair_of_rows(&self, i: usize, stride: usize) -> (usize, [[f32; 2]; 2]) {
+        let tap = self.taps[i];
+        let [x, y] = [tap.x & 0xffff, tap.y & 0xffff].map(|part| part as f32 / STEPS);
+        let [column, row] = tap.texel();
+        let shares = [1.0 - y, y].map(|down| [(1.0 - x) * down, x * down]);
+        (row as usize * stride + column as usize, shares)
+    }
+
+    /// Whether each pixel has just one tap.
+    fn has_single_taps(&self) -> bool {
+        self.taps.len() == self.pixels.len()
+    }
+
+    /// [`Footprints::residual`] where pixels have one tap.
+    #[inline(always)]
+    fn residual_at(
+        &self,
+        i: usize,
+        (first, shares): (usize, [[f32; 2]; 2]),
+        texture: &Canvas,
+    ) -> Vec3 {
+        let mut sum = Vec4::ZERO;
+        for (row, [left, right]) in shares.into_iter().enumerate() {
+            let texels = &texture.values[first + row * texture.stride()..][..2];
+            sum += left * Vec4::from(texels[0]) + right * Vec4::from(texels[1]);
+        }
+        self.target[i] - sum.truncate() * self.scale[i]
     }
 
     #[inline(always)]
@@ -370,6 +404,52 @@ impl Band<'_> {
         true
     }
 
+    /// Adds a value to the texels that a single tap reads; `false` where they are not all within the band.
+    #[inline(always)]
+    fn add_pair_of_rows(
+        &mut self,
+        (first, shares): (usize, [[f32; 2]; 2]),
+        weighted: Vec4,
+    ) -> bool {
+        let Some(first) = first.checked_sub(self.first) else {
+            return false;
+        };
+        if first + self.stride + 2 > self.values.len() {
+            return false;
+        }
+        for (row, shares) in shares.into_iter().enumerate() {
+            let texels = &mut self.values[first + row * self.stride..][..2];
+            for (texel, share) in texels.iter_mut().zip(shares) {
+                *texel = (Vec4::from(*texel) + share * weighted).into();
+            }
+        }
+        true
+    }
+
+    /// [`Band::scatter`] of a view whose pixels have one tap each.
+    #[inline(always)]
+    fn scatter_single(
+        &mut self,
+        view: &Footprints,
+        pixels: Range<usize>,
+        texture: Option<&Canvas>,
+        spills: &mut Vec<Spill>,
+    ) {
+        for i in pixels.filter(|&i| view.weight[i] > 0.0) {
+            let rows = view.pair_of_rows(i, self.stride);
+            let left = match texture {
+                Some(texture) => view.residual_at(i, rows, texture),
+                None => view.target[i],
+            };
+            let value = (left / view.covered(i)).extend(1.0);
+            let weighted = value * (view.weight[i] * view.scale[i]);
+            if !self.add_pair_of_rows(rows, weighted) {
+                let (window, _) = Window::of_first(&view.taps[i..=i], self.stride);
+                spills.push(Spill { window, weighted });
+            }
+        }
+    }
+
     /// Adds what the pixels of a view that lie in the band show, or what a texture leaves of it, and returns what falls outside.
     #[inline(always)]
     fn scatter(
@@ -426,7 +506,11 @@ impl Canvas {
                     pulp::Arch::new().dispatch(
                         #[inline(always)]
                         || {
-                            band.scatter(view, pixels, texture, &mut spills);
+                            if view.has_single_taps() {
+                                band.scatter_single(view, pixels, texture, &mut spills);
+                            } else {
+                                band.scatter(view, pixels, texture, &mut spills);
+                            }
                         },
                     );
                 }
@@ -449,8 +533,8 @@ mod tests {
     use super::*;
     use rekindle_base::math::random::Random;
 
-    /// Pixels of up to four taps each, near each other or anywhere, and where these are.
-    fn view(size: [usize; 2]) -> (Footprints, Vec<Vec<Vec2>>) {
+    /// Pixels of up to so many taps each, near each other or anywhere, and where these are.
+    fn view(size: [usize; 2], most: usize) -> (Footprints, Vec<Vec<Vec2>>) {
         let random = Random::new(7, 0);
         let extent = Vec2::new(size[0] as f32, size[1] as f32);
         let uniform = |index: usize| random.uniform(index as u64) as f32;
@@ -458,7 +542,7 @@ mod tests {
         let mut view = Footprints::with_room(0);
         let mut places = Vec::new();
         for index in 0..300 {
-            let taps: Vec<Vec2> = (0..=index % 4)
+            let taps: Vec<Vec2> = (0..=index % most)
                 .map(|k| match index % 3 {
                     0 => anywhere(4 * index + k),
                     _ => anywhere(4 * index) + Vec2::new(0.7, -0.4) * k as f32,
@@ -489,8 +573,8 @@ mod tests {
 
     #[test]
     fn sums_and_residuals_are_those_of_every_look_up_by_itself() {
-        for size in [[1, 1], [3, 2], [37, 900]] {
-            let (view, places) = view(size);
+        for (size, taps) in [([1, 1], 4), ([3, 2], 4), ([37, 900], 4), ([37, 900], 1)] {
+            let (view, places) = view(size, taps);
             let mut sums = Canvas::new(size);
             let sorted = view.sorted(&sums);
             sums.gather(std::slice::from_ref(&sorted), None);
