@@ -27,6 +27,11 @@ pub(super) fn patches(lamp: &LampNodes, largest: f32) -> Vec<LampNodes> {
     if lamp.muted || reach(lamp) <= WIDE {
         return Vec::new();
     }
+    cut(lamp, largest)
+}
+
+/// The parts of a lamp, none with a larger [`reach`] than asked for unless it is a single node.
+pub(super) fn cut(lamp: &LampNodes, largest: f32) -> Vec<LampNodes> {
     let mut cut = Vec::new();
     let mut left: Vec<Cow<'_, LampNodes>> = vec![Cow::Borrowed(lamp)];
     while let Some(patch) = left.pop() {

@@ -711,9 +711,11 @@ impl Tile<'_> {
         is_enough.then_some(told)
     }
 
-    /// Whether a group may add to what is seen of a point.
+    /// Whether a group may add to what is seen of a point. Of a soft one, of which there are many and mostly in the lobe, it takes
+    /// as long to tell as to add it up.
     fn is_lit(&self, group: usize, point: &ShadingPoint, view: Vec3) -> bool {
-        self.relit || self.shader.is_in_lobe(group, point, view)
+        let is_soft = self.triangles.is_some() && !self.shader.is_sharp(group);
+        self.relit || is_soft || self.shader.is_in_lobe(group, point, view)
     }
 
     /// Shades a point whose visibilities are known.

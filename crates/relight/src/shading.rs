@@ -143,8 +143,10 @@ struct Node {
 #[derive(Clone, Debug)]
 struct Group {
     nodes: Vec<Node>,
-    /// A few nodes that shine as all of them do, as long as a lobe does not resolve them.
+    /// A few nodes that shine as all of them do: as long as a lobe does not resolve them or, of a wide lamp's patch, for the lobe.
     few: Vec<Node>,
+    /// All light of a wide lamp's patch in one node, for irradiance.
+    middle: Option<[Node; 1]>,
     /// Squared distance from the centre, for near lamps.
     near: Option<f32>,
     /// Unit direction or position of its middle.
@@ -176,7 +178,7 @@ pub struct Shader<'a> {
 }
 
 impl Group {
-    fn new(lamp: &LampNodes, centre: Vec3, role: Role) -> Option<Self> {
+    fn new(lamp: &LampNodes, centre: Vec3, role: Role, unresolved: f32) -> Option<Self> {
         let lit: Vec<_> = lamp
             .nodes
             .iter()
@@ -223,11 +225,12 @@ impl Group {
                 *m += n.direction * n.flux()[channel];
             }
         }
+        let whole = |part: &LampNodes| Node {
+            place: place(part.direction),
+            flux: part.flux(),
+        };
         let few = if role == Role::Patch {
-            vec![Node {
-                place: place(lamp.direction),
-                flux: lamp.flux(),
-            }]
+            patches::cut(lamp, unresolved).iter().map(whole).collect()
         } else if nodes.len() < MANY_NODES {
             nodes.clone()
         } else {
@@ -242,6 +245,7 @@ impl Group {
         Some(Self {
             nodes,
             few,
+            middle: (role == Role::Patch).then(|| [whole(lamp)]),
             near: lamp.radius.map(|r| r * r),
             axis: place(lamp.direction),
             reach,
@@ -283,6 +287,9 @@ impl Group {
     /// The nodes to add up at a point: a few for all where these are seen alike and, but for patches, above the horizon,
     /// unless the distances between them matter.
     fn standing_for(&self, point: &ShadingPoint, seen: &Visibility, resolved: bool) -> &[Node] {
+        if self.middle.is_some() {
+            return &self.few;
+        }
         let is_cut = || self.horizon(point) != Horizon::Above;
         if resolved || matches!(seen, Visibility::Part(_)) || !self.soft && is_cut() {
             &self.nodes
@@ -315,8 +322,8 @@ enum Role {
     Lamp,
     /// A patch of an environment, of which a point sees a fraction that varies smoothly.
     Environment,
-    /// A patch of a wide lamp, the same, and one of so many beside each other that one direction does for each, and one ray for
-    /// small ones.
+    /// A patch of a wide lamp, the same, and one of so many beside each other that one ray does for a small one, and one direction
+    /// for its irradiance.
     Patch,
 }
 
@@ -389,20 +396,22 @@ impl<'a> Shader<'a> {
     /// Prepares a lighting.
     pub fn new(occluder: &'a Occluder, brdf: Option<Brdf>, lighting: &Lighting) -> Self {
         let mut groups = Vec::new();
+        let unresolved = patch_reach(brdf);
         for lamp in &lighting.lamps {
-            let patches = patches(lamp, patch_reach(brdf));
+            let patches = patches(lamp, unresolved.max(ONE_RAY));
             let (parts, role) = if patches.is_empty() {
                 (std::slice::from_ref(lamp), Role::Lamp)
             } else {
                 (&patches[..], Role::Patch)
             };
             let parts = parts.iter();
-            groups.extend(parts.filter_map(|part| Group::new(part, lighting.centre, role)));
+            let group = |part| Group::new(part, lighting.centre, role, unresolved);
+            groups.extend(parts.filter_map(group));
         }
         // Strays have no extent in common: each is a lamp of its own.
         groups.extend(lighting.remainder.iter().filter_map(|node| {
             let lamp = LampNodes::new(vec![*node], lighting.radius)?;
-            Group::new(&lamp, lighting.centre, Role::Lamp)
+            Group::new(&lamp, lighting.centre, Role::Lamp, unresolved)
         }));
         let total: f32 = lighting
             .environment
@@ -417,7 +426,7 @@ impl<'a> Shader<'a> {
             } else {
                 Role::Environment
             };
-            Group::new(patch, lighting.centre, role)
+            Group::new(patch, lighting.centre, role, unresolved)
         }));
         Self {
             occluder,
@@ -741,7 +750,11 @@ impl<'a> Shader<'a> {
                     )
                     .max(Vec3::ZERO);
             } else {
-                let nodes = group.standing_for(point, seen, group.reach > UNRESOLVED_BY_COSINE);
+                let resolved = group.reach > UNRESOLVED_BY_COSINE;
+                let nodes = match &group.middle {
+                    Some(middle) => middle,
+                    None => group.standing_for(point, seen, resolved),
+                };
                 Self::each_seen(group, nodes, point, seen, |l, flux| {
                     let cos = l.dot(point.normal);
                     irradiance += flux * (cos * transmittance(cos));
@@ -784,8 +797,8 @@ fn resolves(brdf: Brdf, reach: f32, axis: Vec3, view: Vec3) -> bool {
     reach > UNRESOLVED * brdf.sigma * (axis + view).length()
 }
 
-/// How large the patches of a wide lamp may be, radians: so that a lobe does not resolve them except at a grazing angle,
-/// and there are not too many.
+/// How large parts of a wide lamp may be for the lobe, radians: so that it does not resolve them except at a grazing angle, and
+/// there are not too many.
 fn patch_reach(brdf: Option<Brdf>) -> f32 {
     const SMALLEST: f32 = 0.05;
     const LARGEST: f32 = 0.24;
