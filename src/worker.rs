@@ -638,10 +638,12 @@ impl Bench {
                 capture,
                 options,
                 load_s,
-            } => Ok(match solve(&capture, &options, load_s, &mut shown) {
-                Ok(solution) => Event::Solved(Arc::new(solution)),
-                Err(Stopped) => Event::Stopped,
-            }),
+            } => Ok(
+                match solve(&capture.reduced(), &options, load_s, &mut shown) {
+                    Ok(solution) => Event::Solved(Arc::new(solution)),
+                    Err(Stopped) => Event::Stopped,
+                },
+            ),
             Command::Task { work, .. } => {
                 let tell = &mut |stage: &str, fraction: f32| shown.progress(stage, fraction);
                 work(tell, &|| job.control.stopped())?;

@@ -73,12 +73,14 @@ enum ShortcutArg {
     Roughnesses,
     /// Make the texture from all views, also where six others see a part of the surface better
     Views,
+    /// Keep every pixel about the object, also where many large photographs show far more than lights need
+    Pixels,
     /// Solve again what has not changed since the solution that is there was written
     Unchanged,
 }
 
 impl ShortcutArg {
-    /// The estimation's; none where the whole of it is what would be left out.
+    /// The estimation's; none where what would be left out is the whole of it, or before it.
     fn shortcut(self) -> Option<Shortcut> {
         Some(match self {
             Self::DarkCells => Shortcut::DarkCells,
@@ -88,7 +90,7 @@ impl ShortcutArg {
             Self::ShadowRays => Shortcut::ShadowRays,
             Self::Roughnesses => Shortcut::Roughnesses,
             Self::Views => Shortcut::Views,
-            Self::Unchanged => return None,
+            Self::Pixels | Self::Unchanged => return None,
         })
     }
 }
@@ -221,7 +223,11 @@ pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
     progress.warn_all(&settled);
     progress.stage("reading the capture", 0.0);
     let started = Instant::now();
-    let capture = Capture::load(&args.capture)?;
+    let capture = if args.options.do_all.contains(&ShortcutArg::Pixels) {
+        Capture::load_full(&args.capture)?
+    } else {
+        Capture::load(&args.capture)?
+    };
     let load_s = started.elapsed().as_secs_f64();
     interrupt::check()?;
     if let Some(solution) = unchanged(args, &capture) {

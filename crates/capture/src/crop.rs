@@ -3,14 +3,15 @@
 //! texture that many views show in fewer pixels is as certain.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::{Camera, Photograph, View};
+use super::{Camera, Capture, Photograph, View};
 use glam::{DVec2, Vec3};
 
 /// Photographs of fewer pixels are kept whole: nothing is gained.
-const LARGE: usize = 2_000_000;
+const LARGE: usize = 500_000;
 /// A crop that keeps more than this part of a photograph is none.
 const MOST_KEPT: f64 = 0.75;
 /// Room about the object, as a part of its longer side: for outlines that are to be found there.
@@ -63,6 +64,50 @@ impl Kept {
         let block = (1..).find(|block| kept.usable.len() / (block * block) <= most);
         kept.in_blocks(block.unwrap_or(1))
     }
+}
+
+impl Capture {
+    /// The capture with as many pixels as [`Capture::load`] keeps, if it has all.
+    #[must_use]
+    pub fn reduced(&self) -> Self {
+        let kept = Kept::Shared(self.views.len());
+        let reduced = |view: &View| {
+            let photograph = &view.photograph;
+            if photograph.crop.is_some() || photograph.usable.len() < LARGE {
+                return view.clone();
+            }
+            let photograph = kept.of(Photograph::clone(photograph));
+            let size = [photograph.width, photograph.height];
+            let camera = view.camera.clone();
+            View {
+                name: view.name.clone(),
+                camera: match photograph.crop {
+                    None => camera,
+                    Some(crop) => camera.cropped(crop, size),
+                },
+                photograph: Arc::new(photograph),
+            }
+        };
+        let views: Vec<View> = self.views.par_iter().map(reduced).collect();
+        let mut warnings = self.warnings.clone();
+        warnings.extend(note(&views).filter(|note| !warnings.contains(note)));
+        Self {
+            views,
+            warnings,
+            ..self.clone()
+        }
+    }
+}
+
+/// What there is to say of views of which blocks of pixels are kept.
+pub(super) fn note(views: &[View]) -> Option<String> {
+    let blocks = views.iter().filter_map(|view| view.photograph.crop);
+    let blocks: Vec<u32> = blocks.map(|crop| crop.block).filter(|&b| b > 1).collect();
+    let block = blocks.iter().max()?;
+    Some(format!(
+        "Of {} large photographs blocks of up to {block}×{block} pixels are taken as one, and the texture is as coarse as that;          `rekindle solve --do-all pixels` keeps each.",
+        blocks.len()
+    ))
 }
 
 impl Photograph {
@@ -278,13 +323,59 @@ mod tests {
         let view = View {
             name: String::new(),
             camera: camera.clone().cropped(crop, [kept.width, kept.height]),
-            photograph: std::sync::Arc::new(kept),
+            photograph: Arc::new(kept),
         };
         let point = glam::DVec3::new(0.1, 0.2, -3.0);
         let [part, all, again] = [&view.camera, &camera, &view.whole_camera()]
             .map(|camera| camera.project(point).expect("before the camera"));
+        let said = note(std::slice::from_ref(&view)).expect("a note");
+        assert!(said.contains("2×2"), "{said}");
         assert!((part * 2.0 + crop.first_pixel()).distance(all) < 1e-9);
         assert!(again.distance(all) < 1e-9);
+    }
+
+    #[test]
+    fn a_capture_with_all_pixels_is_reduced_once_and_knows_its_whole_cameras() {
+        let photograph = photograph([2000, 1500], [700..1100, 3..803]);
+        let camera = Camera {
+            width: 2000,
+            height: 1500,
+            focal: DVec2::splat(1800.0),
+            centre: DVec2::new(1003.0, 747.0),
+            distortion: crate::Distortion::default(),
+            world_from_camera: glam::DAffine3::IDENTITY,
+        };
+        let view = View {
+            name: "view".to_owned(),
+            camera: camera.clone(),
+            photograph: Arc::new(photograph),
+        };
+        let capture = Capture {
+            name: "thing".to_owned(),
+            views: vec![view],
+            mesh: crate::Mesh {
+                origin: glam::DVec3::ZERO,
+                positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+                normals: vec![Vec3::Z; 3],
+                uvs: Vec::new(),
+                triangles: vec![[0, 1, 2]],
+            },
+            light_hemisphere: crate::LightHemisphere {
+                up: glam::DVec3::Z,
+                radius: None,
+            },
+            brackets: None,
+            warnings: Vec::new(),
+        };
+        let reduced = capture.reduced();
+        let kept = &reduced.views[0];
+        assert_eq!([kept.camera.width, kept.camera.height], [510, 853]);
+        assert_eq!(kept.camera.centre, camera.centre - DVec2::new(640.0, 0.0));
+        let whole = kept.whole_camera();
+        assert_eq!([whole.width, whole.height], [2000, 1500]);
+        assert_eq!(whole.centre, camera.centre);
+        assert!(reduced.warnings.is_empty(), "nothing is coarser");
+        assert_eq!(reduced.reduced().fingerprint(), reduced.fingerprint());
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::brackets::{self, Brackets, ExposureUse, Part, Response, Settings, Table};
 use super::camera::Camera;
-use super::crop::Kept;
+use super::crop::{self, Kept};
 use super::error::CaptureError;
 use super::isolated::isolated_pixels;
 use super::manifest::{Frame, Manifest};
@@ -89,6 +89,7 @@ impl Capture {
             });
         }
         tally.report(&mut warnings);
+        warnings.extend(crop::note(&views));
         let brackets = uses
             .iter()
             .any(|uses| !uses.is_empty())

@@ -22,7 +22,7 @@ use super::triangle_shares::TriangleShares;
 use rekindle_capture::View;
 use rekindle_scene::hemisphere;
 use rekindle_scene::shortcuts::{Shortcut, Shortcuts};
-use rekindle_scene::surface::{Atlas, ViewSurface};
+use rekindle_scene::surface::{Atlas, NO_TRIANGLE, ViewSurface};
 
 /// Sub-samples of all views together: the more pixels, the fewer each has.
 const MAX_SAMPLES: usize = 24 << 20;
@@ -79,7 +79,7 @@ pub fn reconstruct(
     seen: &TriangleShares,
     shortcuts: &Shortcuts,
 ) -> DiffuseTexture {
-    let factor = sampling_factor(views);
+    let factor = sampling_factor(&surfaces);
     let typical = typical_radiance(views);
     let best = shortcuts
         .takes(Shortcut::Views)
@@ -164,11 +164,12 @@ pub fn reconstruct(
 }
 
 /// Sub-samples along a pixel's side that keep all views within memory.
-fn sampling_factor(views: &[View]) -> u32 {
-    let pixels: usize = views
-        .iter()
-        .map(|v| (v.camera.width * v.camera.height) as usize / 3)
-        .sum();
+fn sampling_factor(surfaces: &[ViewSurface]) -> u32 {
+    let shown = |surface: &ViewSurface| {
+        let triangles = surface.triangle.par_iter();
+        triangles.filter(|&&t| t != NO_TRIANGLE).count()
+    };
+    let pixels: usize = surfaces.iter().map(shown).sum();
     (1..=2)
         .rev()
         .find(|f| pixels * (f * f) as usize <= MAX_SAMPLES)

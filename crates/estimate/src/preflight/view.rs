@@ -115,19 +115,15 @@ fn silhouettes(coverage: &[f32], surface: &ViewSurface) -> Option<(f64, DVec2)> 
 
 fn border_share(surface: &ViewSurface) -> f64 {
     let (width, height) = (surface.width as usize, surface.height as usize);
-    let on_border = |i: usize| {
-        let (x, y) = (i % width, i / width);
-        x == 0 || y == 0 || x + 1 == width || y + 1 == height
+    let of_row = |y: usize| {
+        let ends = y == 0 || y + 1 == height;
+        let step = if ends { 1 } else { (width - 1).max(1) };
+        (0..width).step_by(step).map(move |x| y * width + x)
     };
     let (mut shown, mut all) = (0_usize, 0_usize);
-    for (_, &triangle) in surface
-        .triangle
-        .iter()
-        .enumerate()
-        .filter(|(i, _)| on_border(*i))
-    {
+    for pixel in (0..height).flat_map(of_row) {
         all += 1;
-        shown += usize::from(triangle != NO_TRIANGLE);
+        shown += usize::from(surface.triangle[pixel] != NO_TRIANGLE);
     }
     shown as f64 / all.max(1) as f64
 }
