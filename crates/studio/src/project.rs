@@ -383,7 +383,7 @@ fn read(path: &Path) -> Result<(File, Document, Vec<String>), ProjectError> {
     for reference in &file.probes {
         let Some(found) = reference.find(folder) else {
             warnings.push(format!(
-                "{}: the light probe is missing, looks that use it are darker; put it back or choose another",
+                "{}: the light probe is missing, setups that use it are darker; put it back or choose another",
                 reference.absolute.display()
             ));
             continue;
