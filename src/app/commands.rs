@@ -43,8 +43,12 @@ pub enum Action {
     PlaceRim,
     /// Select the next lamp.
     NextLamp,
+    /// Put the selected lamp back to how it was estimated.
+    ResetLamp,
     /// Show the next look.
     NextLook,
+    /// Show the captured light in place of a setup, or the setup again.
+    CompareCaptured,
     /// Close the window.
     Quit,
     /// Bring the mesh to where the silhouettes say.
@@ -219,14 +223,14 @@ pub const ENTRIES: &[Entry] = &[
         "Save project as…",
         Menu::File,
         Some((CTRL.plus(SHIFT), Key::S)),
-        "Save lamps and looks in another file",
+        "Save lights and setups in another file",
     ),
     entry(
         Action::Save,
         "Save project",
         Menu::File,
         Some((CTRL, Key::S)),
-        "Save lamps and looks, and the solution beside them",
+        "Save lights and setups, and the solution beside them",
     ),
     entry(
         Action::Redo,
@@ -278,6 +282,13 @@ pub const ENTRIES: &[Entry] = &[
         "Remove the selected lamp",
     ),
     entry(
+        Action::ResetLamp,
+        "Reset light",
+        Menu::Edit,
+        Some((SHIFT, Key::R)),
+        "Put the selected light back to how it was estimated",
+    ),
+    entry(
         Action::MuteLamp,
         "Mute lamp",
         Menu::Edit,
@@ -321,10 +332,17 @@ pub const ENTRIES: &[Entry] = &[
     ),
     entry(
         Action::NextLook,
-        "Next look",
+        "Next setup",
         Menu::Edit,
         Some((NONE, Key::L)),
-        "Show the next lighting set-up",
+        "Show the next way to light the object",
+    ),
+    entry(
+        Action::CompareCaptured,
+        "Compare with the captured light",
+        Menu::Edit,
+        Some((NONE, Key::C)),
+        "Show the captured light in place of this setup, then the setup again",
     ),
     entry(
         Action::Quit,

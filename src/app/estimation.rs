@@ -11,7 +11,7 @@ use super::commands::Action;
 use super::disc::{self, Disc, DiscTexture};
 use super::plots::{self, Marks};
 use super::viewport::{Object, Scene, Viewport};
-use super::{Request, Shared, theme};
+use super::{Request, Shared, result, theme};
 use crate::worker::{Progress, Rendered, Step, Subject};
 use rekindle_capture::Capture;
 use rekindle_estimate::estimate::Iteration;
@@ -166,6 +166,9 @@ impl Estimation {
         egui::Panel::top("estimation progress")
             .frame(theme::side(ui))
             .show(ui, |ui| self.progress_ui(ui, shared));
+        if let Some(solution) = self.solution.clone() {
+            result::panel(ui, &solution, shared);
+        }
         let tall = (ui.available_height() * 0.3).clamp(130.0, 240.0);
         egui::Panel::bottom("estimation plots")
             .frame(theme::side(ui))
@@ -200,7 +203,7 @@ impl Estimation {
                 State::Stopped => ("Stopped".to_owned(), fraction),
                 State::Done => ("Done".to_owned(), 1.0),
             };
-            let buttons = 330.0;
+            let buttons = 480.0;
             ui.vertical(|ui| {
                 ui.set_width((ui.available_width() - buttons).max(160.0));
                 ui.horizontal(|ui| {
@@ -248,7 +251,7 @@ impl Estimation {
         if self.state == State::Done {
             let relight = ui.add(theme::main_button(ui, "Relight"));
             if relight
-                .on_hover_text("To the object and its lamps (F3)")
+                .on_hover_text("To the object and its lights (F3)")
                 .clicked()
             {
                 give(Action::ShowRelighting);
@@ -264,6 +267,9 @@ impl Estimation {
         })
         .response
         .on_hover_text("How to estimate the next time");
+        if let Some(solution) = &self.solution {
+            result::button(ui, solution, shared);
+        }
     }
 
     /// Elapsed time, and what is left if it can be told.

@@ -21,6 +21,7 @@ mod plots;
 mod points;
 mod projects;
 mod relight;
+mod result;
 mod settings;
 mod theme;
 mod viewport;
@@ -42,8 +43,10 @@ use open_path::OpenPath;
 use palette::{Chosen, CommandPalette};
 use projects::{Answer, Projects, Then};
 use rekindle_estimate::align::{Alignment, MarkedPoint};
+use rekindle_solution::Solution;
 use rekindle_studio::{Document, Recoverable, state_folder};
 use relight::Relighting;
+use result::Verdict;
 use settings::Settings;
 
 pub use theme::install as install_theme;
@@ -114,6 +117,8 @@ enum Request {
     Habit(Habit),
     Recover(usize),
     Discard(usize),
+    /// Show where a view's photograph and its rendering differ.
+    ShowDifference(usize),
     /// Align the mesh, beginning with these points; without any from nothing.
     Align(Vec<MarkedPoint>),
 }
@@ -356,13 +361,7 @@ impl App {
                 if let Some(estimation) = &mut self.estimation {
                     estimation.finish(Arc::clone(&solution));
                 }
-                let lamps = match solution.lamps.len() {
-                    0 => "No lamps were found.".to_owned(),
-                    1 => "One lamp was found.".to_owned(),
-                    n => format!("{n} lamps were found."),
-                };
-                let text = format!("{lamps} Surface: {}.", solution.surface_in_words());
-                self.notices.add(Weight::Done, "Estimated", text);
+                self.say_what_was_found(&solution);
                 self.show_document(Document::new(solution, None));
             }
             Event::Done { what } => match doing {
@@ -461,8 +460,42 @@ impl App {
         self.page = Page::Capture;
     }
 
+    fn say_what_was_found(&mut self, solution: &Solution) {
+        let lights = match solution.lamps.len() {
+            0 => "No lights were found.".to_owned(),
+            1 => "One light was found.".to_owned(),
+            n => format!("{n} lights were found."),
+        };
+        let (weight, title, more) = match Verdict::of(&solution.diagnostics) {
+            Verdict::Good | Verdict::Noted => (Weight::Done, "Estimated", ""),
+            Verdict::Doubtful => (
+                Weight::Note,
+                "Estimated, with doubts",
+                " The result card says what to do.",
+            ),
+            Verdict::Failed => (
+                Weight::Note,
+                "No lighting could be recovered",
+                " The result card says why and what to do.",
+            ),
+        };
+        let text = format!("{lights} Surface: {}.{more}", solution.surface_in_words());
+        self.notices.add(weight, title, text);
+    }
+
+    /// Shows at an input camera where photograph and rendering differ.
+    fn show_difference(&mut self, view: usize) {
+        if let Some(relighting) = &mut self.relighting {
+            relighting.viewport_mut().show_difference(view);
+            self.page = Page::Relighting;
+        }
+    }
+
     fn show_document(&mut self, document: Document) {
         self.projects.reset();
+        if Verdict::of(&document.solution().diagnostics).asks_for_a_look() {
+            self.settings.result = true;
+        }
         let capture = self.capture.as_ref().map(|page| Arc::clone(page.capture()));
         self.relighting = Some(Relighting::new(document, capture.as_ref()));
         self.page = Page::Relighting;
@@ -514,7 +547,9 @@ impl App {
             | Action::PlaceBrightest
             | Action::PlaceRim
             | Action::NextLamp
-            | Action::NextLook => {
+            | Action::ResetLamp
+            | Action::NextLook
+            | Action::CompareCaptured => {
                 let relighting = self.relighting.as_ref();
                 self.page == Page::Relighting && relighting.is_some_and(|r| r.enabled(action))
             }
@@ -621,7 +656,9 @@ impl App {
             | Action::PlaceBrightest
             | Action::PlaceRim
             | Action::NextLamp
-            | Action::NextLook => {
+            | Action::ResetLamp
+            | Action::NextLook
+            | Action::CompareCaptured => {
                 if let Some(relighting) = &mut self.relighting {
                     relighting.act(action);
                 }
@@ -942,6 +979,7 @@ impl eframe::App for App {
                 Request::Recover(index) => self.recover(index),
                 Request::Discard(index) => self.projects.discard(index),
                 Request::Habit(habit) => self.settings.habit = habit,
+                Request::ShowDifference(view) => self.show_difference(view),
                 Request::Align(points) => self.align(points),
             }
         }

@@ -29,6 +29,8 @@ pub struct Settings {
     pub hemisphere: HemisphereExposure,
     /// Whether the mesh's outline lies over the photographs.
     pub outline: bool,
+    /// Whether the result card is open.
+    pub result: bool,
 }
 
 /// How to estimate.
@@ -68,6 +70,7 @@ impl Default for Settings {
             estimation: Estimation::default(),
             hemisphere: HemisphereExposure::default(),
             outline: true,
+            result: false,
         }
     }
 }

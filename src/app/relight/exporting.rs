@@ -106,7 +106,7 @@ impl Question {
                 ui.set_width(460.0);
                 ui.heading("Export");
                 ui.label(
-                    "Pictures by the reference renderer, in the light of the look that is shown.",
+                    "Pictures by the reference renderer, in the light of the setup that is shown.",
                 );
                 ui.add_space(theme::GAP * 0.5);
                 egui::Grid::new("export settings")

@@ -15,16 +15,18 @@ mod programs;
 mod surroundings;
 #[cfg(test)]
 mod tests;
+mod whereabouts;
 
 use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
 use eframe::egui;
+use glam::Vec3;
 
 use super::commands::Action;
 use super::viewport::{Object, Scene, Viewport};
-use super::{Shared, theme};
+use super::{Shared, result, theme};
 use crate::worker::{Command, Latest, Purpose, Rendered, Subject, Worker};
 use editing::Editing;
 use exporting::{Answer, Question, Screen};
@@ -37,6 +39,15 @@ use rekindle_estimate::registration::corrected;
 use rekindle_scene::hemisphere::FromAbove;
 use rekindle_studio::{Document, Place};
 use surroundings::Probes;
+use whereabouts::Viewer;
+
+/// Height of the settings that never move, points.
+const PINNED: f32 = 222.0;
+/// Least height of the list of lights with what is above it, points.
+const LEAST_LIST: f32 = 150.0;
+/// Least side of the hemisphere, points; its most, as a part of the window's height.
+const LEAST_DISC: f32 = 90.0;
+const MOST_DISC: f32 = 0.3;
 
 /// A question about exports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,6 +143,8 @@ impl Relighting {
     pub(super) fn enabled(&self, action: Action) -> bool {
         match action {
             Action::AddLamp | Action::NextLamp | Action::NextLook => true,
+            Action::CompareCaptured => looks::is_comparable(&self.document),
+            Action::ResetLamp => lamps::can_reset(&self.document, &self.editing),
             _ => self.editing.selected(self.document.look()).is_some(),
         }
     }
@@ -143,12 +156,14 @@ impl Relighting {
         match (action, selected) {
             (Action::AddLamp, _) => lamps::add(document, editing),
             (Action::NextLamp, _) => {
-                let lamps = &document.look().lamps;
+                let lamps = lamps::by_contribution(document);
                 let at = lamps.iter().position(|l| Some(l.id) == selected);
                 let next = lamps.get(at.map_or(0, |at| at + 1)).or(lamps.first());
                 editing.select(next.map(|l| l.id));
             }
             (Action::NextLook, _) => looks::next(document),
+            (Action::CompareCaptured, _) => looks::compare(document, editing),
+            (Action::ResetLamp, Some(id)) => lamps::reset(document, id),
             (Action::Export, _) => self.question = Some(Asked::Pictures),
             (Action::ExportObject, _) => self.question = Some(Asked::Programs),
             (Action::MuteLamp, Some(id)) => lamps::mute(document, id),
@@ -222,15 +237,8 @@ impl Relighting {
             .resizable(true)
             .default_size(theme::SIDE)
             .size_range(260.0..=420.0)
-            .show(ui, |ui| {
-                egui::ScrollArea::vertical()
-                    .auto_shrink(false)
-                    .show(ui, |ui| {
-                        // Room for the scroll bar.
-                        ui.set_max_width(ui.available_width() - 10.0);
-                        self.side_ui(ui, shared);
-                    });
-            });
+            .show(ui, |ui| self.side_ui(ui, shared));
+        result::panel(ui, self.document.solution(), shared);
         egui::CentralPanel::default()
             .frame(theme::stage())
             .show(ui, |ui| self.stage_ui(ui, shared));
@@ -247,19 +255,64 @@ impl Relighting {
         problem
     }
 
+    /// The direction from the object to where it is seen from.
+    fn towards_viewer(&self) -> Vec3 {
+        let lighting = &self.document.base().lighting;
+        let eye = self.viewport.seen().map(|(camera, _)| camera.position());
+        let offset = eye.map_or(Vec3::ZERO, |eye| eye.as_vec3() - lighting.centre);
+        offset.normalize_or(lighting.up)
+    }
+
+    /// Setups, hemisphere and lights; below, in a place that never moves, what belongs to the selected light.
     fn side_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        egui::Panel::bottom("pinned settings")
+            .frame(egui::Frame::new())
+            .exact_size(PINNED)
+            .show(ui, |ui| self.pinned_ui(ui, shared));
+        let towards = self.towards_viewer();
+        let viewer = Viewer::new(towards, self.document.base().lighting.up);
         let (document, editing) = (&mut self.document, &mut self.editing);
-        looks::show(ui, document, editing);
-        ui.add_space(theme::GAP);
-        self.disc.show(ui, document, editing, shared);
-        ui.add_space(theme::GAP);
-        theme::group(ui, "Lamps");
-        lamps::list(ui, document, editing);
-        ui.add_space(theme::GAP);
-        lamps::settings(ui, document, editing);
-        ui.add_space(theme::GAP);
-        surroundings::show(ui, document, &self.probes, shared);
-        ui.add_space(theme::GAP);
+        looks::show(ui, document, editing, towards);
+        ui.add_space(theme::GAP * 0.5);
+        // In a low window the list needs the room.
+        let room = ui.available_height() - LEAST_LIST;
+        let side = room.clamp(LEAST_DISC, MOST_DISC * ui.ctx().content_rect().height());
+        let side = side.min(ui.available_width());
+        self.disc.show(ui, side, document, editing, shared);
+        ui.add_space(theme::GAP * 0.5);
+        theme::group(ui, "Lights");
+        lamps::buttons(ui, document, editing);
+        lamps::list(ui, document, editing, &viewer);
+    }
+
+    /// Settings of the selected light, or of the surroundings.
+    fn pinned_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        let (document, editing) = (&mut self.document, &mut self.editing);
+        ui.add_space(6.0);
+        ui.horizontal(|ui| {
+            let lamp = editing.selected(document.look());
+            let name = lamp.map_or("Selected light", |l| l.name.as_str());
+            let name = egui::RichText::new(name).strong();
+            let own = egui::Button::selectable(!editing.surroundings, name).truncate();
+            let own = ui.add(own).accessible_name("Settings of the light");
+            if own
+                .on_hover_text("Settings of the selected light")
+                .clicked()
+            {
+                editing.surroundings = false;
+            }
+            let around = ui.selectable_label(editing.surroundings, "Surroundings");
+            let tip = "Ambient light, stray light and a light probe";
+            if around.on_hover_text(tip).clicked() {
+                editing.surroundings = true;
+            }
+        });
+        ui.add_space(4.0);
+        if editing.surroundings {
+            surroundings::show(ui, document, &self.probes, shared);
+        } else {
+            lamps::settings(ui, document, editing);
+        }
     }
 
     fn stage_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
@@ -271,7 +324,12 @@ impl Relighting {
             .exact_size(36.0)
             .show(ui, |ui| {
                 ui.horizontal_centered(|ui| {
-                    pointing::bar(ui, &self.document, &mut self.editing);
+                    ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                        result::button(ui, self.document.solution(), shared);
+                        ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| {
+                            pointing::bar(ui, &self.document, &mut self.editing);
+                        });
+                    });
                 });
             });
         let document = &self.document;

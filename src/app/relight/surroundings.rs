@@ -7,7 +7,7 @@ use eframe::egui;
 
 use super::editing::undoable;
 use super::lamps::{LABELS, fit_sliders};
-use crate::app::{Shared, theme};
+use crate::app::Shared;
 use crate::worker::{Latest, Purpose};
 use rekindle_relight::ProbeUnits;
 use rekindle_studio::{Document, Probe, ProbeLight};
@@ -56,7 +56,6 @@ pub(super) fn show(
     probes: &Probes,
     shared: &mut Shared<'_>,
 ) {
-    theme::group(ui, "Surroundings");
     fit_sliders(ui);
     let (look, base) = (document.look().clone(), document.base().clone());
     egui::Grid::new("surroundings")

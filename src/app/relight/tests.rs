@@ -5,11 +5,14 @@ use std::time::{Duration, Instant};
 
 use eframe::egui::{self, Modifiers, Pos2, vec2};
 use egui_kittest::Harness;
-use egui_kittest::kittest::Queryable as _;
+use egui_kittest::kittest::{NodeT as _, Queryable as _};
 use glam::Vec3;
 
 use crate::app::{App, Start};
 use crate::worker::Source;
+use rekindle_estimate::estimate::Diagnostics;
+use rekindle_estimate::registration::Correction;
+use rekindle_solution::Solution;
 use rekindle_studio::fixtures::solution;
 use rekindle_studio::{Document, LampId};
 
@@ -268,6 +271,7 @@ fn every_setting_of_a_lamp_is_a_step() {
     click(&mut window, "Temperature");
     set(&mut window, "Colour temperature", 3000.0);
     window.run_steps(3);
+    click(&mut window, "Surroundings");
     set(&mut window, "Ambient", 0.5);
     window.run_steps(3);
     click(&mut window, "Solo Light 1");
@@ -276,9 +280,9 @@ fn every_setting_of_a_lamp_is_a_step() {
     key(&mut window, Modifiers::NONE, egui::Key::Delete);
     key(&mut window, Modifiers::NONE, egui::Key::A);
     assert_eq!(document(&window).look().lamps.len(), 4);
-    click(&mut window, "Edit look");
-    click(&mut window, "Duplicate look");
-    assert_eq!(document(&window).state().active, 1);
+    click(&mut window, "Edit setup");
+    click(&mut window, "Duplicate setup");
+    assert_eq!(document(&window).state().active, 2);
     key(&mut window, Modifiers::NONE, egui::Key::L);
     assert_eq!(document(&window).state().active, 0);
     let mut steps = Vec::new();
@@ -306,6 +310,7 @@ fn a_light_probe_replaces_the_light_and_can_be_turned() {
         .collect();
     rekindle_solution::write_rgb(&probe, 64, &pixels).expect("written");
     let mut window = window(&saved_solution(folder.path()));
+    click(&mut window, "Surroundings");
     click(&mut window, "Choose…");
     give_path(&mut window, &probe);
     wait_for(&mut window, "Remove");
@@ -347,7 +352,7 @@ fn an_export_is_stopped_and_leaves_nothing() {
 }
 
 #[test]
-fn other_programs_get_the_light_of_the_look_that_is_shown() {
+fn other_programs_get_the_light_of_the_setup_that_is_shown() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut window = window(&saved_solution(folder.path()));
     click(&mut window, "Mute Light 2");
@@ -370,4 +375,160 @@ fn other_programs_get_the_light_of_the_look_that_is_shown() {
     assert!(target.join("light_3.exr").exists() && !target.join("light_2.exr").exists());
     assert!(target.join("object.glb").exists() && !target.join("mitsuba.xml").exists());
     assert!(read("README.txt").contains("object.glb"));
+}
+
+#[test]
+fn the_captured_light_stays_and_is_compared_with_by_one_key() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    assert!(window.query_by_label("Setup 1").is_none());
+    click(&mut window, "Light 2");
+    set(&mut window, "Intensity", 1.5);
+    // The first change began a setup; the captured light is as it was.
+    assert!(window.query_by_label("Setup 1").is_some());
+    let captured = document(&window).state().looks[0].clone();
+    assert_eq!(
+        document(&window).light_of(&captured).lighting,
+        solution().lighting()
+    );
+    let shown = |w: &Window| document(w).look().name.clone();
+    assert_eq!(shown(&window), "Setup 1");
+    key(&mut window, Modifiers::NONE, egui::Key::C);
+    assert_eq!(shown(&window), "Captured light");
+    key(&mut window, Modifiers::NONE, egui::Key::C);
+    assert_eq!(shown(&window), "Setup 1");
+    assert_eq!(document(&window).undo_label(), Some("Intensity of Light 2"));
+    // One light goes back, the others stay as they are.
+    click(&mut window, "Mute Light 1");
+    click(&mut window, "Reset light");
+    assert_eq!(document(&window).undo_label(), Some("Reset Light 2"));
+    assert_eq!(lamp(&window, 1), captured.lamps[1]);
+    assert!(lamp(&window, 0).muted);
+    // All of it can be undone.
+    for _ in 0..3 {
+        key(&mut window, Modifiers::COMMAND, egui::Key::Z);
+    }
+    assert!(window.query_by_label("Setup 1").is_none());
+    assert!(!document(&window).is_modified());
+}
+
+#[test]
+fn ready_made_setups_are_applied_by_one_click() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    for (name, lights) in [
+        ("Three-point", 3),
+        ("Soft box", 2),
+        ("Rim", 3),
+        ("Ring", 8),
+        ("Window", 7),
+        ("Golden hour", 2),
+    ] {
+        click(&mut window, "Add setup");
+        click(&mut window, name);
+        let look = document(&window).look();
+        assert_eq!((look.name.as_str(), look.lamps.len()), (name, lights));
+        assert_eq!(document(&window).undo_label(), Some("Add setup"));
+    }
+    assert_eq!(document(&window).state().looks.len(), 7);
+}
+
+fn has_part(window: &Window, part: &str) -> bool {
+    window.query_all_by_label_contains(part).next().is_some()
+}
+
+#[test]
+fn the_result_card_says_what_a_solve_is_worth_and_what_to_do() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let good = saved_solution(folder.path());
+    let mut solution = Solution::load(&good).expect("a solution");
+    solution.diagnostics = Diagnostics {
+        well_posed: false,
+        specular_found: true,
+        warnings: vec!["The view 2 contradicts the others. Check its camera.".to_owned()],
+    };
+    solution.sigma_interval95 = Some([0.08, 0.13]);
+    solution.fit.psnr_db_per_view = vec![41.23, 22.5];
+    let turned = Correction {
+        turn_deg: [0.0, 0.25, 0.0],
+        ..Correction::default()
+    };
+    solution.corrections = vec![Correction::default(), turned];
+    let doubtful = folder.path().join("doubtful");
+    solution.save(&doubtful).expect("saved");
+
+    // A doubt opens the card; it stays until it is closed, and comes back by its button.
+    let mut window = window(&doubtful);
+    for part in [
+        "The view 2 contradicts the others.",
+        "Check its camera.",
+        "0.0800 to 0.1300 rad",
+        "it was made so",
+        "camera turned by 0.25°",
+        "Difference at view 1, 41.2 dB",
+        "Difference at view 2, 22.5 dB",
+    ] {
+        assert!(has_part(&window, part), "{part}");
+    }
+    window.check_accessibility();
+    click(&mut window, "Close the result");
+    assert!(!has_part(&window, "Check its camera."));
+    click(&mut window, "Result: Doubtful");
+    assert!(has_part(&window, "Check its camera."));
+    drop(window);
+
+    // Without lamps it failed, and says so.
+    solution.diagnostics.specular_found = false;
+    let failed = folder.path().join("failed");
+    solution.save(&failed).expect("saved");
+    let window = self::window(&failed);
+    assert!(has_part(&window, "No lights were recovered."));
+    assert!(has_part(&window, "Result: Failed"));
+}
+
+#[test]
+fn many_lights_are_listed_by_what_they_contribute() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    let row = |w: &Window, name: &str| w.get_by_label(name).rect();
+    let described = |w: &Window, name: &str| {
+        let node = w.get_by_label(name);
+        node.accesskit_node().description().expect("a description")
+    };
+    assert!(row(&window, "Light 1").top() < row(&window, "Light 2").top());
+    click(&mut window, "Light 2");
+    let intensity = |w: &Window| {
+        w.get_by_role_and_label(egui::Role::SpinButton, "Intensity")
+            .rect()
+    };
+    let pinned = intensity(&window);
+    set(&mut window, "Intensity", 4.0);
+    assert!(row(&window, "Light 2").top() < row(&window, "Light 1").top());
+    let share = described(&window, "Light 2");
+    assert!(
+        share.contains("left") && share.contains("% of the light"),
+        "{share}"
+    );
+    // The list scrolls by itself; the settings stay where they are.
+    for _ in 0..20 {
+        key(&mut window, Modifiers::NONE, egui::Key::A);
+    }
+    assert!(row(&window, "Light 23").bottom() < pinned.top());
+    window.hover_at(row(&window, "Light 23").center());
+    window.event(egui::Event::MouseWheel {
+        unit: egui::MouseWheelUnit::Point,
+        delta: vec2(0.0, -2000.0),
+        phase: egui::TouchPhase::Move,
+        source: egui::MouseWheelSource::Wheel,
+        modifiers: Modifiers::NONE,
+    });
+    window.run_steps(20);
+    assert!(row(&window, "Light 3").bottom() < pinned.top());
+    click(&mut window, "Light 3");
+    assert_eq!(intensity(&window), pinned);
+    // Marks are as large as their lights are strong.
+    let relighting = window.state().relighting.as_ref().expect("a page");
+    let radius = |id: u32| super::hemisphere::mark_radius(&relighting.document, &lamp(&window, id));
+    assert!(radius(1) > 1.5 * radius(2));
+    window.check_accessibility();
 }

@@ -314,6 +314,14 @@ impl Viewport {
         }
     }
 
+    /// Goes to an input camera and shows there where photograph and rendering differ, if the photographs are known.
+    pub fn show_difference(&mut self, camera: usize) {
+        self.go_to(camera);
+        if self.comparable {
+            self.compare.kind = Kind::Difference;
+        }
+    }
+
     fn leave_camera(&mut self) {
         self.at = None;
         self.compare.go_to(None, None);
