@@ -188,6 +188,10 @@ pub struct Step {
     pub iteration: Iteration,
     /// The specular model.
     pub model: SpecularModel,
+    /// What was being done.
+    pub stage: String,
+    /// Which part of the whole was done when this part of the stage began.
+    pub fraction: f32,
     /// Lit nodes and their radiances, RGB.
     pub lit: Vec<(u32, [f32; 3])>,
 }
@@ -834,6 +838,8 @@ impl Observer for Shown<'_> {
                 ..*iteration
             },
             model: self.model,
+            stage: self.progress.stage.clone(),
+            fraction: self.progress.fraction,
             lit,
         }));
         self.publish();

@@ -9,12 +9,12 @@ use glam::Vec3;
 use super::capture_page::estimation_ui;
 use super::commands::Action;
 use super::disc::{self, Disc, DiscTexture};
-use super::plots::{self, Marks};
+use super::plots::Curves;
 use super::viewport::{Object, Scene, Viewport};
 use super::{Request, Shared, result, theme};
 use crate::worker::{Progress, Rendered, Step, Subject};
 use rekindle_capture::Capture;
-use rekindle_estimate::estimate::Iteration;
+use rekindle_estimate::estimate::Method;
 use rekindle_relight::{LampNodes, LightNode, Lighting};
 use rekindle_scene::hemisphere::{HemisphereGrid, Picture};
 use rekindle_scene::reflectance::Brdf;
@@ -62,6 +62,7 @@ struct StepPicture {
 pub struct Estimation {
     job: u64,
     capture: Arc<Capture>,
+    method: Method,
     state: State,
     progress: Option<Arc<Progress>>,
     solution: Option<Arc<Solution>>,
@@ -79,13 +80,14 @@ pub struct Estimation {
 
 impl Estimation {
     /// An estimation that was just started as command `job`.
-    pub fn new(capture: Arc<Capture>, job: u64) -> Self {
+    pub fn new(capture: Arc<Capture>, method: Method, job: u64) -> Self {
         let up = capture.light_hemisphere.up.as_vec3();
         let mut viewport = Viewport::new(Object::Capture(Arc::clone(&capture)), up, Some(&capture));
         viewport.set_white(white(&capture));
         Self {
             job,
             capture,
+            method,
             state: State::Running,
             progress: None,
             solution: None,
@@ -297,15 +299,18 @@ impl Estimation {
         format!("{elapsed:.0} s, about {:.0} s left", left.ceil())
     }
 
-    fn plots_ui(&self, ui: &mut egui::Ui) {
-        let iterations: Vec<Iteration> = self.steps().iter().map(|s| s.iteration).collect();
-        let tried = self.progress.as_ref().map_or(&[][..], |p| &p.tried);
-        let marks = Marks {
-            shown: self.shown().map(|k| iterations[k]),
-            other: self.other.and_then(|k| iterations.get(k).copied()),
+    fn plots_ui(&mut self, ui: &mut egui::Ui) {
+        let curves = Curves {
+            steps: self.steps(),
+            tried: self.progress.as_ref().map_or(&[][..], |p| &p.tried),
+            method: self.method,
+            shown: self.shown(),
+            other: self.other,
             interval: self.solution.as_ref().and_then(|s| s.sigma_interval95),
         };
-        plots::show(ui, &iterations, tried, marks);
+        if let Some(clicked) = curves.show(ui) {
+            self.look = Look::Step(clicked);
+        }
     }
 
     fn hemispheres_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {

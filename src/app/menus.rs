@@ -31,22 +31,29 @@ fn menu_ui(ui: &mut egui::Ui, app: &App, menu: Menu, requests: &mut Vec<Request>
             if matches!(entry.action, Action::Camera(_)) && !app.enabled(entry.action) {
                 continue;
             }
+            if entry.begins_group {
+                ui.separator();
+            }
             let mut button = Button::new(entry.name);
             if let Some(keys) = entry.keys_text(ui.ctx()) {
                 button = button.shortcut_text(keys);
             }
+            let obstacle = app.obstacle(entry.action);
+            let why_not = obstacle.unwrap_or_default();
             let response = ui
-                .add_enabled(app.enabled(entry.action), button)
-                .on_hover_text(entry.tip);
+                .add_enabled(obstacle.is_none(), button)
+                .on_hover_text(entry.tip)
+                .on_disabled_hover_text(format!("{}. {why_not}", entry.tip));
             if response.clicked() {
                 requests.push(Request::Action(entry.action));
                 ui.close();
             }
-            if entry.action == Action::OpenFolder {
+            if entry.action == Action::OpenFile {
                 recent_ui(ui, app, requests);
             }
         }
         if menu == Menu::View {
+            ui.separator();
             habits_ui(ui, app, requests);
         }
     });
@@ -106,7 +113,7 @@ fn pages_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
             Page::Relighting,
             "Relighting",
             Action::ShowRelighting,
-            "The object and its lamps (F3)",
+            "The object and its lights (F3)",
         ),
     ] {
         let here = app.page == page;

@@ -35,7 +35,7 @@ use eframe::egui_wgpu::RenderState;
 
 use crate::worker::{Command, Event, OpenedCapture, Purpose, Source, Worker};
 use capture_page::CapturePage;
-use commands::{Action, ENTRIES};
+use commands::Action;
 use estimation::Estimation;
 use navigation::Habit;
 use notices::{Notices, Weight};
@@ -50,6 +50,12 @@ use result::Verdict;
 use settings::Settings;
 
 pub use theme::install as install_theme;
+
+/// Why commands can't be given.
+const NO_CAPTURE: &str = "No capture is open.";
+const NO_LIGHT: &str = "There is no light yet; estimate it, or open a project or a solution.";
+const NO_OBJECT: &str = "No object is shown on this page.";
+const ON_RELIGHTING: &str = "It is a command of the relighting page.";
 
 /// Where the settings are stored.
 const SETTINGS: &str = "settings";
@@ -255,7 +261,8 @@ impl App {
         };
         if self.start(command, Doing::Solving) {
             let number = self.job.as_ref().map_or(0, |job| job.number);
-            self.estimation = Some(Estimation::new(capture, number));
+            let method = self.settings.estimation.method;
+            self.estimation = Some(Estimation::new(capture, method, number));
             self.page = Page::Estimation;
         }
     }
@@ -503,40 +510,43 @@ impl App {
 
     /// Whether a command can be given now.
     fn enabled(&self, action: Action) -> bool {
-        let solving = self
-            .job
-            .as_ref()
-            .is_some_and(|job| matches!(job.doing, Doing::Solving));
+        self.obstacle(action).is_none()
+    }
+
+    /// Why a command can't be given now, if it can't.
+    fn obstacle(&self, action: Action) -> Option<&'static str> {
         match action {
-            Action::OpenFolder | Action::OpenFile | Action::Demo => self.job.is_none(),
-            Action::Solve => self.free_capture().is_some_and(CapturePage::is_seen),
-            Action::Align | Action::AlignByPoints => self.free_capture().is_some(),
-            Action::Save | Action::SaveAs => {
-                self.relighting.is_some() && !self.projects.is_saving()
+            Action::OpenFolder | Action::OpenFile | Action::Demo => self.running(),
+            Action::Solve | Action::Align | Action::AlignByPoints => self.obstacle_of_work(action),
+            Action::Save | Action::SaveAs => unless(self.relighting.is_some(), NO_LIGHT).or(
+                unless(!self.projects.is_saving(), "The project is being saved."),
+            ),
+            Action::Undo | Action::Redo => self.obstacle_of_history(action),
+            Action::Pause | Action::KeepBest => {
+                unless(self.is_solving(), "No estimation is running.")
             }
-            Action::Undo | Action::Redo if self.page == Page::Capture => {
-                self.free_capture().is_some_and(|page| page.can(action))
-            }
-            Action::Undo => self.document().is_some_and(|d| d.undo_label().is_some()),
-            Action::Redo => self.document().is_some_and(|d| d.redo_label().is_some()),
-            Action::Pause | Action::KeepBest => solving,
-            Action::Stop => self.job.is_some(),
-            Action::ShowCapture => self.capture.is_some(),
-            Action::ShowEstimation => self.estimation.is_some(),
-            Action::ShowRelighting => self.relighting.is_some(),
+            Action::Stop => unless(self.job.is_some(), "Nothing is running."),
+            Action::ShowCapture => unless(self.capture.is_some(), NO_CAPTURE),
+            Action::ShowEstimation => unless(
+                self.estimation.is_some(),
+                "Nothing has been estimated since the program was started.",
+            ),
+            Action::ShowRelighting => unless(self.relighting.is_some(), NO_LIGHT),
             Action::Camera(n) => {
                 let on_page = self.points_page().map(|page| page.capture().views.len());
                 let cameras = on_page.or_else(|| self.viewport().map(viewport::Viewport::cameras));
-                cameras.is_some_and(|cameras| usize::from(n) < cameras)
+                let there = cameras.is_some_and(|cameras| usize::from(n) < cameras);
+                unless(there, "There is no such camera here.")
             }
             Action::Frame | Action::ResetView => {
-                self.viewport().is_some() || self.points_page().is_some()
+                let shown = self.viewport().is_some() || self.points_page().is_some();
+                unless(shown, NO_OBJECT)
             }
             Action::Brighter | Action::Darker | Action::Histogram | Action::ResetExposure => {
-                self.viewport().is_some()
+                unless(self.viewport().is_some(), NO_OBJECT)
             }
             Action::Export | Action::ExportObject => {
-                self.document().is_some() && self.job.is_none()
+                unless(self.document().is_some(), ON_RELIGHTING).or_else(|| self.running())
             }
             Action::AddLamp
             | Action::DuplicateLamp
@@ -551,10 +561,42 @@ impl App {
             | Action::NextLook
             | Action::CompareCaptured => {
                 let relighting = self.relighting.as_ref();
-                self.page == Page::Relighting && relighting.is_some_and(|r| r.enabled(action))
+                let here = relighting.filter(|_| self.page == Page::Relighting);
+                here.map_or(Some(ON_RELIGHTING), |r| r.obstacle(action))
             }
-            _ => true,
+            _ => None,
         }
+    }
+
+    /// What stands in the way of what needs the worker, while that works.
+    fn running(&self) -> Option<&'static str> {
+        unless(
+            self.job.is_none(),
+            "Something is running; stop it, or wait for its end.",
+        )
+    }
+
+    fn obstacle_of_work(&self, action: Action) -> Option<&'static str> {
+        let Some(page) = &self.capture else {
+            return Some(NO_CAPTURE);
+        };
+        let seen = action != Action::Solve || page.is_seen();
+        self.running()
+            .or(unless(seen, "No camera sees the mesh; align it first."))
+    }
+
+    fn obstacle_of_history(&self, action: Action) -> Option<&'static str> {
+        let possible = match (action, self.page) {
+            (_, Page::Capture) => self.free_capture().is_some_and(|page| page.can(action)),
+            (Action::Undo, _) => self.document().is_some_and(|d| d.undo_label().is_some()),
+            _ => self.document().is_some_and(|d| d.redo_label().is_some()),
+        };
+        let nothing = if action == Action::Undo {
+            "There is nothing to undo."
+        } else {
+            "There is nothing to do again."
+        };
+        unless(possible, nothing)
     }
 
     /// The capture's page, while nothing is done at length.
@@ -693,6 +735,9 @@ impl App {
             ("Redone", document.redo())
         };
         if let Some(label) = label {
+            let mut letters = label.chars();
+            let first = letters.next().map(char::to_lowercase);
+            let label: String = first.into_iter().flatten().chain(letters).collect();
             self.notices
                 .add(Weight::Note, format!("{word}: {label}"), "");
         }
@@ -783,9 +828,8 @@ impl App {
             .relighting
             .as_mut()
             .and_then(|relighting| relighting.viewport_mut().take_failure());
-        if let Some(text) = failure {
-            self.notices
-                .add(Weight::Error, "Drawing failed on the graphics card", text);
+        if let Some((title, text)) = failure {
+            self.notices.add(Weight::Error, title, text);
         }
         if ctx.input(|i| i.viewport().close_requested()) && !self.leaving && self.has_unsaved_work()
         {
@@ -838,24 +882,19 @@ impl App {
                     actions.push(action);
                 }
             }
-            for entry in ENTRIES {
-                let Some(keys) = entry.keys else { continue };
+            for (keys, action) in commands::by_keys() {
                 let plain = !keys.modifiers.command && !is_function_key(keys.logical_key);
                 // Without a modifier a key may be meant for a text field, or close a menu.
-                if plain && (typing || any_popup || self.keys) && entry.action != Action::Keys {
+                if plain && (typing || any_popup || self.keys) && action != Action::Keys {
                     continue;
                 }
                 if plain && typing {
                     continue;
                 }
-                if self.enabled(entry.action) && input.consume_shortcut(&keys) {
+                if self.enabled(action) && input.consume_shortcut(&keys) {
                     // A key pressed by chance must not throw an estimation away.
-                    let keeps = entry.action == Action::Stop && self.is_solving();
-                    actions.push(if keeps {
-                        Action::KeepBest
-                    } else {
-                        entry.action
-                    });
+                    let keeps = action == Action::Stop && self.is_solving();
+                    actions.push(if keeps { Action::KeepBest } else { action });
                 }
             }
         });
@@ -922,7 +961,7 @@ impl App {
 
     fn show_dialogs(&mut self, ctx: &egui::Context) {
         if let Some(mut palette) = self.palette.take() {
-            match palette.show(ctx, |action| self.enabled(action)) {
+            match palette.show(ctx, |action| self.obstacle(action)) {
                 Chosen::Nothing => self.palette = Some(palette),
                 Chosen::Closed => {}
                 Chosen::Action(action) => self.act(ctx, action),
@@ -950,6 +989,11 @@ impl App {
         }
         self.notices.show(ctx);
     }
+}
+
+/// Why not, unless something holds.
+fn unless(holds: bool, why_not: &'static str) -> Option<&'static str> {
+    (!holds).then_some(why_not)
 }
 
 fn is_function_key(key: egui::Key) -> bool {

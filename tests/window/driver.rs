@@ -138,7 +138,9 @@ pub fn click(window: &mut Window, label: &str) {
 }
 
 pub fn coarse(window: &mut Window) {
-    window.get_by_label("Frequency").set_value_accesskit(24.0);
+    window
+        .get_by_role_and_label(egui::Role::SpinButton, "Light resolution")
+        .set_value_accesskit(24.0);
     window.step();
     window.step();
 }

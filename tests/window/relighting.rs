@@ -69,7 +69,7 @@ fn the_demo_is_relit_exported_saved_and_comes_back_with_the_same_pixels() {
 
     click(&mut window, "Mute Light 1");
     key(&mut window, Modifiers::COMMAND, egui::Key::Z);
-    assert!(has_part(&window, "Undone: Mute lamp"));
+    assert!(has_part(&window, "Undone: mute light"));
     let mark = window.get_by_label("Light 1 on the hemisphere").rect();
     let disc = window.get_by_label("Lit hemisphere").rect();
     drag(

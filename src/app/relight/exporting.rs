@@ -163,11 +163,11 @@ impl Question {
             (
                 Subject::Lamp,
                 lamp.map_or_else(
-                    || "A turn of the selected lamp".to_owned(),
-                    |name| format!("A turn of {name}"),
+                    || "The selected light circling the object".to_owned(),
+                    |name| format!("{name} circling the object"),
                 ),
                 lamp.is_some(),
-                "Select a lamp first",
+                "Select a light first",
             ),
         ];
         for (i, (subject, name, possible, why_not)) in choices.into_iter().enumerate() {
@@ -254,7 +254,7 @@ impl Question {
             ui.checkbox(&mut self.exr, "EXR")
                 .on_hover_text("Linear radiance, 32-bit float, premultiplied alpha");
             ui.add_enabled(self.exr, egui::Checkbox::new(&mut self.layers, "Layers"))
-                .on_hover_text("Diffuse, specular, albedo, irradiance, normal, position, depth and the light of each lamp beside the picture");
+                .on_hover_text("Diffuse, specular, albedo, irradiance, normal, position, depth and the light of each light beside the picture");
         });
         ui.end_row();
         if self.is_moving() {
@@ -264,7 +264,7 @@ impl Question {
             ui.end_row();
         }
         ui.label("");
-        ui.checkbox(&mut self.edits, "Edits for the command line")
+        ui.checkbox(&mut self.edits, "Light edits (edits.json)")
             .on_hover_text("A JSON file with which rekindle render --edits gives this light");
         ui.end_row();
         ui.label("Background");

@@ -14,6 +14,9 @@ use rekindle_studio::{
     ANGULAR_RADIUS, Baseline, Colour, Document, KELVIN, Lamp, LampId, MAX_STOPS, Origin, black_body,
 };
 
+/// Why a light can't be reset.
+pub(super) const NO_RESET: &str =
+    "Only a light of the estimate that was changed has something to go back to.";
 /// Intensities that the slider reaches; more can be typed.
 const SLIDER_STOPS: f32 = 6.0;
 /// Where a colour temperature begins: noon.
@@ -397,10 +400,9 @@ pub(super) fn settings(ui: &mut egui::Ui, document: &mut Document, editing: &Edi
         });
     let button = ui.add_enabled(can_reset(document, editing), Button::new("Reset light"));
     let tip = "Undo everything done to this light except its name (Shift+R)";
-    let why_not = "Only a light of the estimate that was changed has something to go back to";
     if button
         .on_hover_text(tip)
-        .on_disabled_hover_text(why_not)
+        .on_disabled_hover_text(NO_RESET)
         .clicked()
     {
         reset(document, id);

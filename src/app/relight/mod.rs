@@ -139,14 +139,24 @@ impl Relighting {
         self.viewport.rendered(ctx, rendered);
     }
 
-    /// Whether a command about lamps and looks can be given.
-    pub(super) fn enabled(&self, action: Action) -> bool {
-        match action {
-            Action::AddLamp | Action::NextLamp | Action::NextLook => true,
-            Action::CompareCaptured => looks::is_comparable(&self.document),
-            Action::ResetLamp => lamps::can_reset(&self.document, &self.editing),
-            _ => self.editing.selected(self.document.look()).is_some(),
-        }
+    /// Why a command about lamps and looks can't be given, if it can't.
+    pub(super) fn obstacle(&self, action: Action) -> Option<&'static str> {
+        let (possible, why_not) = match action {
+            Action::AddLamp | Action::NextLamp | Action::NextLook => return None,
+            Action::CompareCaptured => (
+                looks::is_comparable(&self.document),
+                "There is only the captured light so far.",
+            ),
+            Action::ResetLamp => (
+                lamps::can_reset(&self.document, &self.editing),
+                lamps::NO_RESET,
+            ),
+            _ => (
+                self.editing.selected(self.document.look()).is_some(),
+                "Select a light first.",
+            ),
+        };
+        (!possible).then_some(why_not)
     }
 
     /// Carries out a command about lamps and looks.

@@ -153,7 +153,7 @@ fn answer(document: &Document, viewport: &Viewport, at: Pos2) -> Option<Answer> 
 /// Buttons for what pressing on the object does, over the foot of the viewport.
 pub(super) fn bar(ui: &mut egui::Ui, document: &Document, editing: &mut Editing) {
     let Some(lamp) = editing.selected(document.look()) else {
-        ui.weak("Hover a highlight to see its lamp. Select a lamp to place it by pressing on the object.");
+        ui.weak("Hover a highlight to see which light makes it. Select a light to place it by pressing on the object.");
         return;
     };
     ui.label(format!("Press on the object to place {}", lamp.name));
@@ -185,7 +185,7 @@ pub(super) fn bar(ui: &mut egui::Ui, document: &Document, editing: &mut Editing)
     }
     if ui
         .button("Done")
-        .on_hover_text("Select no lamp (Escape)")
+        .on_hover_text("Select no light (Escape)")
         .clicked()
     {
         editing.select(None);

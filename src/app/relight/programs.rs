@@ -23,16 +23,16 @@ const FORMS: [(Form, &str, &str); 8] = [
     (
         Form::Blender,
         "Blender",
-        "A script that rebuilds object, lamps and cameras",
+        "A script that rebuilds object, lights and cameras",
     ),
     (Form::Mitsuba, "Mitsuba 3", "A scene with the same material"),
-    (Form::Gltf, "glTF", "One GLB file with the lamps"),
-    (Form::Usd, "USD", "Object, dome light and lamps as text"),
+    (Form::Gltf, "glTF", "One GLB file with the lights"),
+    (Form::Usd, "USD", "Object, dome light and lights as text"),
     (Form::Obj, "OBJ", "Mesh, material and texture"),
     (
         Form::Light,
         "Light maps",
-        "Lat-long EXR and HDR, and the lamps as lists",
+        "Lat-long EXR and HDR, and the lights as lists",
     ),
     (
         Form::Cameras,
@@ -42,7 +42,7 @@ const FORMS: [(Form, &str, &str); 8] = [
     (
         Form::Layers,
         "Layers",
-        "EXR pictures from all cameras with a light group for each lamp; they take a while",
+        "EXR pictures from all cameras with a light group for each light; they take a while",
     ),
 ];
 
@@ -177,8 +177,8 @@ impl Programs {
         ui.end_row();
         ui.label("");
         ui.horizontal(|ui| {
-            ui.checkbox(&mut self.per_lamp, "One for each lamp")
-                .on_hover_text("A map for every lamp, and one of the rest");
+            ui.checkbox(&mut self.per_lamp, "One for each light")
+                .on_hover_text("A map for every light, and one of the rest");
             ui.checkbox(&mut self.calibration, "Marked axes")
                 .on_hover_text(
                     "A map with red +X, green +Y and blue +Z, to see how a program turns it",

@@ -363,7 +363,7 @@ fn other_programs_get_the_light_of_the_setup_that_is_shown() {
     );
     wait_for(&mut window, "Export for other programs");
     click(&mut window, "Mitsuba 3");
-    click(&mut window, "One for each lamp");
+    click(&mut window, "One for each light");
     click(&mut window, "Choose folder…");
     let target = folder.path().join("programs");
     give_path(&mut window, &target);
@@ -531,4 +531,30 @@ fn many_lights_are_listed_by_what_they_contribute() {
     let radius = |id: u32| super::hemisphere::mark_radius(&relighting.document, &lamp(&window, id));
     assert!(radius(1) > 1.5 * radius(2));
     window.check_accessibility();
+}
+
+#[test]
+fn the_palette_says_why_a_command_cannot_be_given() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    key(&mut window, Modifiers::COMMAND, egui::Key::P);
+    window
+        .get_by_label("Find a command")
+        .type_text("solo light");
+    window.run_steps(2);
+    let row = window.get_by_label_contains("Solo light");
+    assert!(row.accesskit_node().is_disabled());
+    assert!(has_part(&window, "Select a light first."));
+    // Enter does nothing with it.
+    key(&mut window, Modifiers::NONE, egui::Key::Enter);
+    assert!(has_part(&window, "Select a light first."));
+    key(&mut window, Modifiers::NONE, egui::Key::Escape);
+    click(&mut window, "Light 2");
+    key(&mut window, Modifiers::COMMAND, egui::Key::P);
+    window
+        .get_by_label("Find a command")
+        .type_text("solo light");
+    window.run_steps(2);
+    key(&mut window, Modifiers::NONE, egui::Key::Enter);
+    assert_eq!(document(&window).look().solo, Some(LampId(1)));
 }

@@ -8,7 +8,7 @@ mod histogram;
 use std::sync::Arc;
 
 use eframe::egui::{
-    self, Align2, Button, Color32, Pos2, Rect, RichText, Sense, TextureHandle, TextureOptions, vec2,
+    self, Align2, Button, Color32, Pos2, Rect, Sense, TextureHandle, TextureOptions, vec2,
 };
 use glam::{DVec2, DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -54,7 +54,7 @@ pub struct Viewport {
     look: Look,
     gpu: Option<GpuPicture>,
     /// Why the graphics card doesn't draw, once it has failed, and whether that was told.
-    failure: Option<(RenderError, bool)>,
+    failure: Option<(Failure, bool)>,
     /// Radiance that is white at no stops.
     white: f32,
     compare: Compare,
@@ -74,6 +74,14 @@ pub struct Viewport {
     built: Arc<Latest<Occluder>>,
     /// Camera and place of the picture that was drawn last.
     last: Option<(Camera, Rect)>,
+}
+
+/// Why the graphics card doesn't draw.
+enum Failure {
+    /// Its driver lacks what the live view needs.
+    Unable,
+    /// It began, and then failed.
+    Drawing(RenderError),
 }
 
 /// How the object is shown.
@@ -270,13 +278,22 @@ impl Viewport {
         self.white = white;
     }
 
-    /// What went wrong with the graphics card, once.
-    pub fn take_failure(&mut self) -> Option<String> {
+    /// What went wrong with the graphics card, once: a title and what it means.
+    pub fn take_failure(&mut self) -> Option<(&'static str, String)> {
         let (failure, told) = self.failure.as_mut().filter(|(_, told)| !told)?;
         *told = true;
-        Some(format!(
-            "{failure}. The reference renderer shows the object at reduced size meanwhile; all lights are kept."
-        ))
+        Some(match failure {
+            Failure::Unable => (
+                "A slower preview is shown",
+                "This graphics driver can't run the live view. A slower preview is shown; install a Vulkan driver for \
+                 real-time relighting."
+                    .to_owned(),
+            ),
+            Failure::Drawing(error) => (
+                "Drawing failed on the graphics card",
+                format!("{error}. A slower preview is shown meanwhile; all lights are kept."),
+            ),
+        })
     }
 
     /// Allows the comparison with the photographs: the subject is a solution.
@@ -511,8 +528,12 @@ impl Viewport {
                 true
             }
             Err(error) => {
-                self.failure = Some((error, false));
-                self.gpu = None;
+                // What fails at once is the driver's limits, whose numbers tell a user nothing.
+                let failure = match self.gpu.take() {
+                    Some(_) => Failure::Drawing(error),
+                    None => Failure::Unable,
+                };
+                self.failure = Some((failure, false));
                 ui.ctx().request_repaint();
                 false
             }
@@ -821,7 +842,7 @@ impl Viewport {
                 "The light that arrives, interreflection included",
             ),
             Mode::Normals => ("Normals", "Shading normals in the world, (n + 1)/2"),
-            Mode::Shadow(_) => ("Shadow", "What the surface sees of the selected lamp"),
+            Mode::Shadow(_) => ("Shadow", "What the surface sees of the selected light"),
             Mode::Confidence => ("Confidence", "How far the texture is known"),
             Mode::Roughness => (
                 "Roughness",
@@ -918,11 +939,12 @@ impl Viewport {
         let mut colour = self.look.background;
         let picker = ui.color_edit_button_srgb(&mut colour);
         picker
-            .on_hover_text("Background colour")
+            .on_hover_text("What is behind the object")
             .accessible_name("Background colour");
+        ui.label("Background");
         self.look.background = colour;
         if self.gpu.is_some() {
-            ui.toggle_value(&mut self.look.lit_background, "Light")
+            ui.toggle_value(&mut self.look.lit_background, "Show light")
                 .on_hover_text("Show the lighting itself behind the object");
         }
         egui::ComboBox::from_id_salt("view transform")
@@ -936,8 +958,7 @@ impl Viewport {
             .response
             .on_hover_text("From linear radiance to the screen")
             .accessible_name("View transform");
-        let reset = Button::new(RichText::new("0").monospace()).small();
-        let reset = ui.add_enabled(self.look.exposure != 0.0, reset);
+        let reset = ui.add_enabled(self.look.exposure != 0.0, Button::new("Reset"));
         let tip = "Back to no stops (R)";
         if reset
             .on_hover_text(tip)
