@@ -62,6 +62,7 @@ fn every_state() {
     click(&mut window, "Resume");
     wait_for(&mut window, "Light 1");
     assert!(has(&window, "Viewport"));
+    wait_for(&mut window, "Close message Estimated");
     click(&mut window, "Close message Estimated");
     shoot(&mut window, "relit");
     // The first lamp's highlight, put elsewhere.

@@ -26,6 +26,8 @@ const PATCHES: u32 = 4;
 const MANY: usize = 300;
 /// … on a grid of this frequency.
 const JOINED: u32 = 10;
+/// Width in which an iteration's name is read, points.
+const NAMES: f32 = 250.0;
 /// Below this part of the whole the time left is a guess not worth showing.
 const TELLING: f32 = 0.08;
 
@@ -329,9 +331,13 @@ impl Estimation {
         let side = ((room.x - 8.0 * (discs - 1.0)) / discs)
             .min(room.y - strip - controls)
             .max(80.0);
+        // Names are wider than small discs.
+        let cell = side.max(NAMES.min(room.x / discs - 8.0));
+        let size = egui::vec2(cell, side);
+        let column = egui::Layout::top_down(egui::Align::Center);
         ui.horizontal(|ui| {
-            ui.add_space((0.5 * (room.x - discs * side - 8.0 * (discs - 1.0))).max(0.0));
-            ui.vertical(|ui| {
+            ui.add_space((0.5 * (room.x - discs * cell - 8.0 * (discs - 1.0))).max(0.0));
+            ui.allocate_ui_with_layout(size, column, |ui| {
                 let name = self.main_name();
                 let texture = self.main_texture(ui.ctx(), exposure);
                 let (response, disc) =
@@ -341,10 +347,10 @@ impl Estimation {
                 }
                 disc::mirror_mark(ui, &disc, self.viewport.mirrored());
                 disc::direction_tip(response, &disc);
-                caption(ui, side, name);
+                caption(ui, cell, name);
             });
             if let Some(k) = self.other {
-                ui.vertical(|ui| {
+                ui.allocate_ui_with_layout(size, column, |ui| {
                     let name = self.step_name(k);
                     let texture = step_texture(
                         &mut self.beside,
@@ -361,7 +367,7 @@ impl Estimation {
                         Sense::hover(),
                         &format!("Compared {name}"),
                     );
-                    caption(ui, side, name);
+                    caption(ui, cell, name);
                 });
             }
         });

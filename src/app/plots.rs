@@ -17,6 +17,8 @@ use crate::worker::{Step, Tried};
 use rekindle_estimate::estimate::{Iteration, Method};
 use rekindle_scene::reflectance::SpecularModel;
 
+/// Room for the line above a plot, points.
+const HEAD: f32 = 34.0;
 /// Marks of an axis at most.
 const MOST_MARKS: f64 = 5.0;
 
@@ -152,14 +154,14 @@ impl Curves<'_> {
         height: f32,
     ) -> Option<usize> {
         let palette = theme::palette(ui);
-        title(ui, kind.name, kind.tip);
+        head_ui(ui, kind.name, kind.tip, |_| {});
         let point = |i: usize| {
             let iteration = &self.steps[i].iteration;
             [iteration.elapsed_s, (kind.value)(iteration)]
         };
         let stretches = self.stretches();
         let label = kind.name;
-        let plot = base(kind.name, height - 24.0, " s").label_formatter(move |position| {
+        let plot = base(kind.name, height - HEAD, " s").label_formatter(move |position| {
             let at = place(position);
             Some(format!("{label} {:.4}\n{:.2} s", at.y, at.x))
         });
@@ -167,7 +169,8 @@ impl Curves<'_> {
             for (i, stage) in stages.iter().enumerate() {
                 let number = (i + 1).to_string();
                 let band = Span::new(number, stage.seconds[0]..=stage.seconds[1]);
-                let shade = if i % 2 == 1 { 0.12 } else { 0.0 };
+                // Without any fill the plot would choose one.
+                let shade = if i % 2 == 1 { 0.14 } else { 0.02 };
                 plot.span(
                     band.fill(palette.weak.gamma_multiply(shade))
                         .border_width(0.0),
@@ -225,13 +228,10 @@ impl Curves<'_> {
             (SpecularModel::Metal, palette.error),
         ];
         let of = |model: SpecularModel| self.tried.iter().filter(move |t| t.model == model);
-        ui.horizontal(|ui| {
-            title(ui, "Profile of σ, rad", tip);
-            for (model, colour) in models
-                .iter()
-                .filter(|(model, _)| of(*model).next().is_some())
-            {
-                ui.label(RichText::new(model.name()).small().color(*colour));
+        head_ui(ui, "Profile of σ, rad", tip, |ui| {
+            let known = |model: SpecularModel| of(model).next().is_some();
+            for (model, colour) in models.into_iter().filter(|(model, _)| known(*model)) {
+                ui.label(RichText::new(model.name()).small().color(colour));
             }
         });
         if self.tried.is_empty() {
@@ -242,7 +242,7 @@ impl Curves<'_> {
         }
         let least = self.tried.iter().map(|t| t.unexplained);
         let least = least.fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
-        let plot = base("profile", height - 24.0, "")
+        let plot = base("profile", height - HEAD, "")
             .label_formatter(|position| {
                 let at = place(position);
                 Some(format!("σ {:.3} rad\n{:.2} × the least", at.x, at.y))
@@ -278,9 +278,13 @@ impl Curves<'_> {
     }
 }
 
-fn title(ui: &mut egui::Ui, name: &str, tip: &str) {
-    ui.label(RichText::new(name).small().strong())
-        .on_hover_text(tip);
+/// The line above a plot: its name, and what else there is.
+fn head_ui(ui: &mut egui::Ui, name: &str, tip: &str, more: impl FnOnce(&mut egui::Ui)) {
+    ui.horizontal(|ui| {
+        ui.label(RichText::new(name).small().strong())
+            .on_hover_text(tip);
+        more(ui);
+    });
 }
 
 /// A plot that stays as it is; `unit` follows the numbers below it.
@@ -301,6 +305,7 @@ fn base<'a>(name: &str, height: f32, unit: &'static str) -> Plot<'a> {
         .allow_drag(false)
         .allow_boxed_zoom(false)
         .show_background(false)
+        .grid_color(egui::Color32::from_gray(128).gamma_multiply(0.25))
         .custom_x_axes(vec![below])
         .custom_y_axes(vec![aside])
         .x_grid_spacer(|input| marks(input.bounds))
