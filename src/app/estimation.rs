@@ -335,7 +335,7 @@ impl Estimation {
         let cell = side.max(NAMES.min(room.x / discs - 8.0));
         let size = egui::vec2(cell, side);
         let column = egui::Layout::top_down(egui::Align::Center);
-        ui.horizontal(|ui| {
+        ui.horizontal_top(|ui| {
             ui.add_space((0.5 * (room.x - discs * cell - 8.0 * (discs - 1.0))).max(0.0));
             ui.allocate_ui_with_layout(size, column, |ui| {
                 let name = self.main_name();

@@ -29,6 +29,8 @@ mod welcome;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
 
 use eframe::egui;
 use eframe::egui_wgpu::RenderState;
@@ -45,7 +47,7 @@ use projects::{Answer, Projects, Then};
 use rekindle_estimate::align::{Alignment, MarkedPoint};
 use rekindle_solution::Solution;
 use rekindle_studio::{Document, Recoverable, state_folder};
-use relight::Relighting;
+use relight::{Export, Others, Relighting};
 use result::Verdict;
 use settings::Settings;
 
@@ -78,10 +80,12 @@ enum Doing {
     Aligning(f32),
     Solving,
     Exporting {
-        /// Where to.
-        folder: PathBuf,
-        /// What is made and how far it is.
+        export: Export,
+        /// What is made.
         said: String,
+        /// Which part of it is done, and since when it has been done.
+        part: f32,
+        since: Instant,
     },
 }
 
@@ -123,6 +127,8 @@ enum Request {
     Habit(Habit),
     Recover(usize),
     Discard(usize),
+    /// Export as the question about it says.
+    Export(Others),
     /// Show where a view's photograph and its rendering differ.
     ShowDifference(usize),
     /// Align the mesh, beginning with these points; without any from nothing.
@@ -299,9 +305,9 @@ impl App {
             let job = self.job.as_mut().filter(|job| job.number == progress.job);
             match (job.map(|job| &mut job.doing), &mut self.estimation) {
                 (Some(Doing::Aligning(part)), _) => *part = progress.fraction,
-                (Some(Doing::Exporting { said, .. }), _) => {
-                    let percent = (100.0 * progress.fraction).floor();
-                    *said = format!("Exporting {}, {percent} %", progress.stage);
+                (Some(Doing::Exporting { said, part, .. }), _) => {
+                    *said = format!("Exporting {}", progress.stage);
+                    *part = progress.fraction;
                 }
                 (_, Some(estimation)) => estimation.update(progress),
                 _ => {}
@@ -372,10 +378,7 @@ impl App {
                 self.show_document(Document::new(solution, None));
             }
             Event::Done { what } => match doing {
-                Some(Doing::Exporting { folder, .. }) => {
-                    let text = folder.display().to_string();
-                    self.notices.add(Weight::Done, "Exported", text);
-                }
+                Some(Doing::Exporting { export, since, .. }) => self.exported(export, *since),
                 _ => self.notices.add(Weight::Done, what, ""),
             },
             Event::Stopped => {
@@ -383,9 +386,8 @@ impl App {
                     let text = "The mesh is where it was.";
                     self.notices.add(Weight::Note, "Alignment stopped", text);
                 }
-                if matches!(doing, Some(Doing::Exporting { .. })) {
-                    let text = "Pictures that were finished are in the folder.";
-                    self.notices.add(Weight::Note, "Export stopped", text);
+                if let Some(Doing::Exporting { export, .. }) = doing {
+                    self.export_stopped(export);
                 }
                 if let Some(estimation) = &mut self.estimation
                     && matches!(doing, Some(Doing::Solving))
@@ -425,7 +427,7 @@ impl App {
                 let then = self.save_then.take();
                 self.save_to(&path, then);
             }
-            Purpose::ExportFolder => self.export_to(&path),
+            Purpose::ExportFolder => self.settings.export.folder = Some(path),
             Purpose::SaveMesh => {
                 if let Some(page) = &mut self.capture {
                     page.save_mesh(&mut self.worker, path);
@@ -445,14 +447,41 @@ impl App {
         }
     }
 
-    fn export_to(&mut self, folder: &Path) {
-        let command = self.relighting.as_ref().and_then(|r| r.export_to(folder));
-        if let Some(command) = command.filter(|_| self.job.is_none()) {
+    fn export(&mut self, others: Others) {
+        let relighting = self.relighting.as_ref().filter(|_| self.job.is_none());
+        let asked = relighting.and_then(|r| r.export(&self.settings.export, others));
+        if let Some((command, export)) = asked {
             let doing = Doing::Exporting {
-                folder: folder.to_owned(),
+                export,
                 said: "Exporting".to_owned(),
+                part: 0.0,
+                since: Instant::now(),
             };
             self.start(command, doing);
+        }
+    }
+
+    fn exported(&mut self, export: &Export, since: Instant) {
+        if let Some(megapixels) = export.megapixels.filter(|m| *m > 0.0) {
+            let seconds = since.elapsed().as_secs_f64();
+            self.settings.export.seconds_per_megapixel = Some(seconds / megapixels);
+        }
+        self.notices
+            .add_folder(Weight::Done, "Exported", "", &export.folder);
+    }
+
+    fn export_stopped(&mut self, export: &Export) {
+        let title = "Export stopped";
+        match export.kept.load(Ordering::Relaxed) {
+            0 => {
+                let text = "No picture was finished; nothing was written.";
+                self.notices.add(Weight::Note, title, text);
+            }
+            kept => {
+                let text = format!("Files of finished pictures that were kept: {kept}.");
+                self.notices
+                    .add_folder(Weight::Note, title, text, &export.folder);
+            }
         }
     }
 
@@ -500,6 +529,7 @@ impl App {
 
     fn show_document(&mut self, document: Document) {
         self.projects.reset();
+        self.settings.export.forget_name();
         if Verdict::of(&document.solution().diagnostics).asks_for_a_look() {
             self.settings.result = true;
         }
@@ -1023,6 +1053,7 @@ impl eframe::App for App {
                 Request::Recover(index) => self.recover(index),
                 Request::Discard(index) => self.projects.discard(index),
                 Request::Habit(habit) => self.settings.habit = habit,
+                Request::Export(others) => self.export(others),
                 Request::ShowDifference(view) => self.show_difference(view),
                 Request::Align(points) => self.align(points),
             }

@@ -77,6 +77,8 @@ type Stretch = std::ops::Range<usize>;
 impl Curves<'_> {
     /// Shows the plots beside each other. Returns the iteration that was clicked, by index.
     pub fn show(&self, ui: &mut egui::Ui) -> Option<usize> {
+        // All of the panel, which otherwise shrinks to what is in it.
+        ui.set_min_height(ui.available_height());
         let stages = self.stages();
         self.legend_ui(ui, &stages);
         let height = ui.available_height();

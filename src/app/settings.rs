@@ -6,6 +6,7 @@ use eframe::egui;
 use serde::{Deserialize, Serialize};
 
 use super::navigation::Habit;
+use super::relight::Question;
 use rekindle_estimate::estimate::{EstimateParams, Method, SpecularChoice};
 use rekindle_scene::reflectance::SpecularModel;
 use rekindle_solution::SolveOptions;
@@ -31,6 +32,8 @@ pub struct Settings {
     pub outline: bool,
     /// Whether the result card is open.
     pub result: bool,
+    /// What was exported last and how.
+    pub export: Question,
 }
 
 /// How to estimate.
@@ -71,6 +74,7 @@ impl Default for Settings {
             hemisphere: HemisphereExposure::default(),
             outline: true,
             result: false,
+            export: Question::default(),
         }
     }
 }

@@ -45,6 +45,7 @@ fn export(window: &mut Window, folder: &Path) -> Vec<u8> {
     }
     click(window, "Choose folder…");
     give_path(window, folder);
+    click(window, "Export");
     wait_for(window, "Exported");
     let pictures: Vec<_> = std::fs::read_dir(folder)
         .expect("a folder")

@@ -18,24 +18,27 @@ mod tests;
 mod whereabouts;
 
 use std::borrow::Cow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 
 use eframe::egui;
 use glam::Vec3;
 
 use super::commands::Action;
 use super::viewport::{Object, Scene, Viewport};
-use super::{Shared, result, theme};
+use super::{Request, Shared, result, theme};
 use crate::worker::{Command, Latest, Purpose, Rendered, Subject, Worker};
 use editing::Editing;
-use exporting::{Answer, Question, Screen};
+use exporting::{Answer, Screen};
+pub(super) use exporting::{Others, Question, duration_in_words};
 use handles::{Handles, Seen};
 use hemisphere::LitDisc;
 use pointing::Pointing;
 use programs::Programs;
 use rekindle_capture::{Camera, Capture};
 use rekindle_estimate::registration::corrected;
+use rekindle_output::export::Job;
 use rekindle_scene::hemisphere::FromAbove;
 use rekindle_studio::{Document, Place};
 use surroundings::Probes;
@@ -56,6 +59,17 @@ enum Asked {
     Programs,
 }
 
+/// An export under way.
+#[derive(Clone, Debug)]
+pub(super) struct Export {
+    /// Where to.
+    pub(super) folder: PathBuf,
+    /// Millions of pixels that it makes; none where it is of other things, too.
+    pub(super) megapixels: Option<f64>,
+    /// Files that are there if it is stopped.
+    pub(super) kept: Arc<AtomicUsize>,
+}
+
 /// A document that is being edited.
 pub struct Relighting {
     document: Document,
@@ -72,7 +86,6 @@ pub struct Relighting {
     question: Option<Asked>,
     /// The question that was answered last, while a folder is chosen and the files are made.
     answered: Asked,
-    pictures: Question,
     programs: Programs,
 }
 
@@ -104,7 +117,6 @@ impl Relighting {
             prepared: false,
             question: None,
             answered: Asked::Pictures,
-            pictures: Question::default(),
             programs: Programs::default(),
         }
     }
@@ -192,24 +204,47 @@ impl Relighting {
         self.probes.read(worker, path);
     }
 
-    /// The command that exports into a folder as was asked.
-    pub(super) fn export_to(&self, folder: &Path) -> Option<Command> {
-        if self.answered == Asked::Programs {
-            let cameras = self.cameras().to_vec();
-            return Some(self.programs.command(&self.document, cameras, folder));
-        }
+    /// The pictures that a question comes to, in a folder.
+    fn pictures(&self, question: &Question, folder: &Path) -> Option<Job> {
         let seen = Seen::from(self.viewport.seen()?);
         let (transform, exposure, background) = self.viewport.shown_as();
         let screen = Screen {
             seen: &seen,
             cameras: self.viewport.named_cameras(),
+            at: self.viewport.at(),
             transform,
             exposure,
             background,
         };
         let lamp = self.editing.selected(self.document.look()).map(|l| l.id);
-        let job = self.pictures.job(&self.document, lamp, &screen, folder);
-        Some(exporting::command(self.document.solution(), job))
+        Some(question.job(&self.document, lamp, &screen, folder))
+    }
+
+    /// The command that exports as was asked, and what is to be known of it.
+    pub(super) fn export(&self, question: &Question, others: Others) -> Option<(Command, Export)> {
+        let folder = question.folder.clone()?;
+        let mut export = Export {
+            folder,
+            megapixels: None,
+            kept: Arc::default(),
+        };
+        if self.answered == Asked::Programs {
+            let cameras = self.cameras().to_vec();
+            let command = self
+                .programs
+                .command(&self.document, cameras, &export.folder);
+            return Some((command, export));
+        }
+        let mut job = self.pictures(question, &export.folder)?;
+        if others == Others::Kept {
+            job = job.beside_others();
+        }
+        export.megapixels = Some(exporting::megapixels(&job));
+        let kept = Arc::clone(&export.kept);
+        Some((
+            exporting::command(self.document.solution(), job, kept),
+            export,
+        ))
     }
 
     /// Names and cameras of the input views: the solution's own, or those of the open capture.
@@ -372,25 +407,36 @@ impl Relighting {
     fn question_ui(&mut self, ctx: &egui::Context, shared: &mut Shared<'_>) {
         let answer = match self.question {
             None => return,
-            Some(Asked::Pictures) => {
-                let lamp = self.editing.selected(self.document.look());
-                let cameras = self.viewport.cameras();
-                let lamp = lamp.map(|l| l.name.as_str());
-                self.pictures.show(ctx, cameras, lamp)
-            }
+            Some(Asked::Pictures) => self.pictures_ui(ctx, shared),
             Some(Asked::Programs) => {
                 let cameras = self.cameras().len();
-                self.programs.show(ctx, cameras)
+                let folder = shared.settings.export.folder.as_deref();
+                self.programs.show(ctx, cameras, folder)
             }
         };
         match answer {
             Answer::Nothing => {}
             Answer::Closed => self.question = None,
-            Answer::Export => {
-                self.answered = self.question.take().unwrap_or(Asked::Pictures);
-                let start = self.document.project().and_then(Path::parent);
+            Answer::ChooseFolder => {
+                let known = shared.settings.export.folder.as_deref();
+                let start = known.or_else(|| self.document.project().and_then(Path::parent));
                 shared.worker.pick(Purpose::ExportFolder, start);
             }
+            Answer::Export(others) => {
+                self.answered = self.question.take().unwrap_or(Asked::Pictures);
+                shared.actions.push(Request::Export(others));
+            }
         }
+    }
+
+    /// The question about pictures.
+    fn pictures_ui(&mut self, ctx: &egui::Context, shared: &mut Shared<'_>) -> Answer {
+        let question = &mut shared.settings.export;
+        let lamp = self.editing.selected(self.document.look());
+        let lamp = lamp.map(|l| l.name.clone());
+        let cameras = self.viewport.cameras();
+        let automatic = question.automatic_name(&self.document, self.viewport.at());
+        let job = |question: &Question, folder: &Path| self.pictures(question, folder);
+        question.show(ctx, cameras, lamp.as_deref(), &automatic, job)
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use eframe::egui;
 
-use super::exporting::{Answer, buttons};
+use super::exporting::{Answer, buttons, folder_ui};
 use crate::app::theme;
 use crate::worker::Command;
 use rekindle_capture::Camera;
@@ -79,8 +79,13 @@ impl Default for Programs {
 }
 
 impl Programs {
-    /// Shows the question; `cameras` is how many are known.
-    pub(super) fn show(&mut self, ctx: &egui::Context, cameras: usize) -> Answer {
+    /// Shows the question; `cameras` is how many are known, `folder` where the files go.
+    pub(super) fn show(
+        &mut self,
+        ctx: &egui::Context,
+        cameras: usize,
+        folder: Option<&Path>,
+    ) -> Answer {
         let mut answer = Answer::Nothing;
         let modal = egui::Modal::new(egui::Id::unique("programs"))
             .frame(theme::dialog(ctx))
@@ -96,6 +101,9 @@ impl Programs {
                         self.forms_ui(ui, cameras);
                         self.maps_ui(ui);
                         self.scale_ui(ui);
+                        if folder_ui(ui, folder) {
+                            answer = Answer::ChooseFolder;
+                        }
                     });
                 ui.add_space(theme::GAP * 0.5);
                 ui.weak(
@@ -103,11 +111,15 @@ impl Programs {
                      each comes.",
                 );
                 ui.add_space(theme::GAP * 0.5);
-                let problem = self
-                    .forms
-                    .is_empty()
-                    .then_some("Choose at least one program");
-                answer = buttons(ui, problem);
+                let problem = match folder {
+                    None => Some("Choose a folder first"),
+                    Some(_) if self.forms.is_empty() => Some("Choose at least one program"),
+                    Some(_) => None,
+                };
+                let given = buttons(ui, problem);
+                if given != Answer::Nothing {
+                    answer = given;
+                }
             });
         if modal.should_close() && answer == Answer::Nothing {
             answer = Answer::Closed;

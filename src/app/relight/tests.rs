@@ -116,6 +116,7 @@ fn export(window: &mut Window, folder: &Path) -> Vec<u8> {
     window.run_steps(2);
     click(window, "Choose folder…");
     give_path(window, folder);
+    click(window, "Export");
     wait(window, "the export", |_| {
         std::fs::read_dir(folder).is_ok_and(|d| {
             d.flatten()
@@ -341,8 +342,9 @@ fn an_export_is_stopped_and_leaves_nothing() {
     click(&mut window, "Choose folder…");
     let target = folder.path().join("film");
     give_path(&mut window, &target);
+    click(&mut window, "Export");
     wait(&mut window, "progress", |w| {
-        w.query_all_by_label_contains("Exporting bumps_0")
+        w.query_all_by_label_contains("Exporting bumps Captured light_0")
             .next()
             .is_some()
     });
@@ -367,6 +369,7 @@ fn other_programs_get_the_light_of_the_setup_that_is_shown() {
     click(&mut window, "Choose folder…");
     let target = folder.path().join("programs");
     give_path(&mut window, &target);
+    click(&mut window, "Export");
     wait_for(&mut window, "Exported");
     let read = |name: &str| std::fs::read_to_string(target.join(name)).expect(name);
     let lamps = read("lights.csv");
@@ -557,4 +560,105 @@ fn the_palette_says_why_a_command_cannot_be_given() {
     window.run_steps(2);
     key(&mut window, Modifiers::NONE, egui::Key::Enter);
     assert_eq!(document(&window).look().solo, Some(LampId(1)));
+}
+
+/// Names of the files in a folder, in order.
+fn files(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).expect("a folder").flatten();
+    let mut names: Vec<String> = entries
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn exports_are_named_asked_about_and_remembered() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    let target = folder.path().join("pictures");
+    export(&mut window, &target);
+    wait_for(&mut window, "Exported");
+    // The name says whose picture it is and in which light.
+    assert_eq!(files(&target), ["bumps Captured light.png"]);
+    window.get_by_label("Open folder").click();
+    let opens = |command: &egui::OutputCommand| match command {
+        egui::OutputCommand::OpenUrl(url) => url.url.ends_with("/pictures"),
+        _ => false,
+    };
+    let opened = (0..4).any(|_| {
+        window.step();
+        window.output().platform_output.commands.iter().any(opens)
+    });
+    assert!(opened, "the folder is shown");
+
+    // Folder and size are as they were; how long it takes is known now; what is there is asked about.
+    key(&mut window, Modifiers::COMMAND, egui::Key::E);
+    wait(&mut window, "the cost", |w| {
+        has_part(w, "One picture, 0.0 megapixels, at most 1 MB; about ")
+    });
+    click(&mut window, "Export");
+    wait_for(&mut window, "A file of this name is in the folder already.");
+    click(&mut window, "Keep both");
+    wait(&mut window, "a second file", |_| files(&target).len() == 2);
+    wait(&mut window, "its end", |w| w.state().job.is_none());
+    let before = std::fs::metadata(target.join("bumps Captured light.png")).expect("there");
+    key(&mut window, Modifiers::COMMAND, egui::Key::E);
+    window.run_steps(3);
+    click(&mut window, "Export");
+    click(&mut window, "Replace");
+    wait(&mut window, "its end", |w| w.state().job.is_none());
+    assert_eq!(files(&target).len(), 2);
+    let after = std::fs::metadata(target.join("bumps Captured light.png")).expect("there");
+    assert!(after.modified().expect("a time") > before.modified().expect("a time"));
+
+    // Another setup has another name, and one that is typed is taken.
+    click(&mut window, "Mute Light 1");
+    key(&mut window, Modifiers::COMMAND, egui::Key::E);
+    window.run_steps(3);
+    let name = window.get_by_role_and_label(egui::Role::TextInput, "Name");
+    assert_eq!(name.value().as_deref(), Some("bumps Setup 1"));
+    name.focus();
+    window.run_steps(2);
+    key(&mut window, Modifiers::COMMAND, egui::Key::A);
+    let name = window.get_by_role_and_label(egui::Role::TextInput, "Name");
+    name.type_text("evening/2");
+    window.run_steps(3);
+    click(&mut window, "Export");
+    wait(&mut window, "its end", |w| w.state().job.is_none());
+    assert!(
+        files(&target).contains(&"evening_2.png".to_owned()),
+        "{:?}",
+        files(&target)
+    );
+}
+
+#[test]
+fn a_stopped_export_keeps_the_frames_that_were_finished() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    key(&mut window, Modifiers::COMMAND, egui::Key::E);
+    wait_for(&mut window, "Choose folder…");
+    click(&mut window, "A turn around the object");
+    set(&mut window, "Width", 200.0);
+    set(&mut window, "Height", 150.0);
+    set(&mut window, "Frames", 900.0);
+    click(&mut window, "Choose folder…");
+    let target = folder.path().join("film");
+    give_path(&mut window, &target);
+    assert!(has_part(&window, "900 pictures, 27.0 megapixels"));
+    click(&mut window, "Export");
+    wait(&mut window, "a second frame", |w| {
+        has_part(w, "Exporting bumps Captured light_0002")
+    });
+    assert!(has_part(&window, "Progress of the export"));
+    click(&mut window, "Stop");
+    wait_for(&mut window, "Export stopped");
+    let kept = files(&target);
+    assert!(
+        kept.len() >= 2 && kept.iter().all(|f| f.ends_with(".png")),
+        "{kept:?}"
+    );
+    let said = format!("Files of finished pictures that were kept: {}.", kept.len());
+    assert!(has_part(&window, &said));
 }

@@ -247,6 +247,11 @@ impl Viewport {
         self.cameras.len()
     }
 
+    /// Index of the input camera that is looked through.
+    pub fn at(&self) -> Option<usize> {
+        self.at
+    }
+
     /// Names and input cameras.
     pub fn named_cameras(&self) -> &[(String, Camera)] {
         &self.cameras
