@@ -69,14 +69,16 @@ impl Verdict {
     }
 }
 
-/// The button that opens and closes the card.
+/// The button that opens the card, while it is closed.
 pub(super) fn button(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<'_>) {
+    if shared.settings.result {
+        return;
+    }
     let (name, mark, meaning) = Verdict::of(&solution.diagnostics).words();
     let text = RichText::new(format!("Result: {name}")).color(mark.colour(ui));
-    let button = egui::Button::selectable(shared.settings.result, text).frame_when_inactive(true);
-    let tip = format!("{meaning} Shows or hides the result card.");
-    if ui.add(button).on_hover_text(tip).clicked() {
-        shared.settings.result = !shared.settings.result;
+    let tip = format!("{meaning} Shows the result card");
+    if ui.button(text).on_hover_text(tip).clicked() {
+        shared.settings.result = true;
     }
 }
 
@@ -108,7 +110,7 @@ fn head_ui(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<'_>) {
         mark.show(ui);
         ui.label(RichText::new(name).strong().color(mark.colour(ui)));
         ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
-            let tip = "Hide the card; the button above it brings it back";
+            let tip = "Hide the card; a button in its place brings it back";
             if theme::close_button(ui, "Close the result", tip).clicked() {
                 shared.settings.result = false;
             }

@@ -150,13 +150,25 @@ fn answer(document: &Document, viewport: &Viewport, at: Pos2) -> Option<Answer> 
     })
 }
 
+/// Width from which the bar has room for a sentence, and width of its buttons, points.
+const WIDE: f32 = 580.0;
+const CHOICES: f32 = 350.0;
+
 /// Buttons for what pressing on the object does, over the foot of the viewport.
 pub(super) fn bar(ui: &mut egui::Ui, document: &Document, editing: &mut Editing) {
     let Some(lamp) = editing.selected(document.look()) else {
-        ui.weak("Hover a highlight to see which light makes it. Select a light to place it by pressing on the object.");
+        let text = "Hover a highlight to see which light makes it. Select a light to place it by pressing on the object.";
+        let weak = egui::RichText::new(text).weak();
+        ui.add(egui::Label::new(weak).truncate());
         return;
     };
-    ui.label(format!("Press on the object to place {}", lamp.name));
+    let sentence = format!("Press on the object to place {}", lamp.name);
+    let room = ui.available_width();
+    let text = if room < WIDE { &lamp.name } else { &sentence };
+    ui.allocate_ui(egui::vec2((room - CHOICES).max(0.0), 0.0), |ui| {
+        ui.add(egui::Label::new(text).truncate())
+            .on_hover_text(&sentence);
+    });
     for (what, name, tip) in [
         (
             Place::Highlight,

@@ -39,6 +39,9 @@ const STEP: f32 = 0.5;
 const MOST_STOPS: f32 = 12.0;
 /// Height of the bar below the picture, points.
 const BAR: f32 = 40.0;
+/// Width from which that bar has room for everything in one row, without the graphics card's modes and with them, points.
+const WIDE: f32 = 620.0;
+const WIDE_GPU: f32 = 900.0;
 
 /// What the reference renderer was asked for.
 const FREE: u64 = 0;
@@ -450,10 +453,12 @@ impl Viewport {
         let bar = egui::Frame::new()
             .fill(ui.visuals().panel_fill)
             .inner_margin(egui::Margin::symmetric(theme::MARGIN, 6));
+        let needed = if self.gpu.is_some() { WIDE_GPU } else { WIDE };
+        let narrow = ui.available_width() < needed;
         egui::Panel::bottom("view bar")
             .frame(bar)
-            .exact_size(BAR)
-            .show(ui, |ui| self.bar_ui(ui));
+            .exact_size(if narrow { 2.0 * BAR - 8.0 } else { BAR })
+            .show(ui, |ui| self.bar_ui(ui, narrow));
         self.prepare(scene.worker);
         let rect = ui.available_rect_before_wrap();
         let response = ui.allocate_rect(rect, Sense::CLICK | Sense::DRAG);
@@ -813,20 +818,38 @@ impl Viewport {
         self.compare.kind != Kind::Object && self.compare.is_possible()
     }
 
-    /// The bar below the picture.
-    fn bar_ui(&mut self, ui: &mut egui::Ui) {
+    /// The bar below the picture, in two rows where it is narrow.
+    fn bar_ui(&mut self, ui: &mut egui::Ui, narrow: bool) {
+        let right = egui::Layout::right_to_left(egui::Align::Center);
+        if narrow {
+            ui.horizontal(|ui| {
+                self.camera_ui(ui);
+                self.mode_ui(ui);
+                ui.with_layout(right, |ui| self.extras_ui(ui));
+            });
+            ui.horizontal(|ui| {
+                self.refining_ui(ui);
+                ui.with_layout(right, |ui| self.exposure_ui(ui));
+            });
+            return;
+        }
         ui.horizontal_centered(|ui| {
             self.camera_ui(ui);
             self.mode_ui(ui);
-            // Beside a photograph the graphics card rests.
-            if !self.compares() && self.gpu.as_ref().is_some_and(|gpu| !gpu.is_settled()) {
-                ui.weak("Refining…")
-                    .on_hover_text("Light is being baked, or the still picture made better");
-            }
-            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+            self.refining_ui(ui);
+            ui.with_layout(right, |ui| {
+                self.extras_ui(ui);
                 self.exposure_ui(ui);
             });
         });
+    }
+
+    fn refining_ui(&self, ui: &mut egui::Ui) {
+        // Beside a photograph the graphics card rests.
+        if !self.compares() && self.gpu.as_ref().is_some_and(|gpu| !gpu.is_settled()) {
+            ui.weak("Refining…")
+                .on_hover_text("Light is being baked, or the still picture made better");
+        }
     }
 
     /// Chooses what of the object is shown.
@@ -938,9 +961,16 @@ impl Viewport {
         }
     }
 
-    fn exposure_ui(&mut self, ui: &mut egui::Ui) {
+    fn extras_ui(&mut self, ui: &mut egui::Ui) {
         ui.toggle_value(&mut self.look.histogram, "Histogram")
             .on_hover_text("How often each brightness occurs, by channel, in stops from white (I)");
+        if self.gpu.is_some() {
+            ui.toggle_value(&mut self.look.lit_background, "Show light")
+                .on_hover_text("Show the lighting itself behind the object");
+        }
+    }
+
+    fn exposure_ui(&mut self, ui: &mut egui::Ui) {
         let mut colour = self.look.background;
         let picker = ui.color_edit_button_srgb(&mut colour);
         picker
@@ -948,10 +978,6 @@ impl Viewport {
             .accessible_name("Background colour");
         ui.label("Background");
         self.look.background = colour;
-        if self.gpu.is_some() {
-            ui.toggle_value(&mut self.look.lit_background, "Show light")
-                .on_hover_text("Show the lighting itself behind the object");
-        }
         egui::ComboBox::from_id_salt("view transform")
             .selected_text(self.look.transform.name())
             .width(110.0)
