@@ -137,9 +137,9 @@ fn every_page_at_every_size() {
         [2560.0, 1440.0, 1.0],
         [1280.0, 720.0, 2.0],
     ] {
-        let mut window = drawn([width, height], None);
+        let mut window = drawn([scale * width, scale * height], None);
         window.set_pixels_per_point(scale);
-        let mut page = |window: &mut Window, name: &str| {
+        let page = |window: &mut Window, name: &str| {
             window.run_steps(4);
             let picture = window.render().expect("a picture");
             let file = format!("{width}x{height}@{scale}_{name}.png");

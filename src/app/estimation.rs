@@ -26,6 +26,11 @@ const PATCHES: u32 = 4;
 const MANY: usize = 300;
 /// … on a grid of this frequency.
 const JOINED: u32 = 10;
+/// Least width of the hemispheres, and of the object beside them, points.
+const HEMISPHERES: f32 = 300.0;
+const OBJECT: f32 = 410.0;
+/// Widths from which the hemisphere's title has room beside its controls, short and in full, points.
+const TITLES: [f32; 2] = [350.0, 450.0];
 /// Width in which an iteration's name is read, points.
 const NAMES: f32 = 250.0;
 /// Below this part of the whole the time left is a guess not worth showing.
@@ -185,7 +190,8 @@ impl Estimation {
             .frame(theme::side(ui))
             .resizable(true)
             .default_size(wide)
-            .size_range(320.0..=1200.0)
+            // A width from a larger window must leave room for the object.
+            .size_range(HEMISPHERES..=(ui.available_width() - OBJECT).max(HEMISPHERES))
             .show(ui, |ui| self.hemispheres_ui(ui, shared));
         egui::CentralPanel::default()
             .frame(theme::stage())
@@ -318,7 +324,12 @@ impl Estimation {
     fn hemispheres_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
         let exposure = &mut shared.settings.hemisphere;
         ui.horizontal(|ui| {
-            theme::group(ui, "Hemisphere, seen from above");
+            let title = match ui.available_width() {
+                room if room > TITLES[1] => "Hemisphere, seen from above",
+                room if room > TITLES[0] => "Hemisphere",
+                _ => "",
+            };
+            theme::group(ui, title).on_hover_text("Seen from above; the rim is the horizon");
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 disc::exposure_ui(ui, exposure);
             });

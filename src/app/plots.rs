@@ -82,7 +82,11 @@ impl Curves<'_> {
         let stages = self.stages();
         self.legend_ui(ui, &stages);
         let height = ui.available_height();
-        let plots = if ui.available_width() > 760.0 { 4 } else { 2 };
+        let plots = match ui.available_width() {
+            room if room > 1100.0 => 4,
+            room if room > 760.0 => 3,
+            _ => 2,
+        };
         let mut clicked = None;
         ui.columns(plots, |columns| {
             for (column, kind) in columns.iter_mut().zip(&KINDS[..plots - 1]) {

@@ -1,6 +1,6 @@
 //! The result card: what a solve is worth and why. It stays beside the estimation and the relighting.
 
-use eframe::egui::{self, Grid, RichText, ScrollArea, vec2};
+use eframe::egui::{self, RichText, ScrollArea, vec2};
 
 use super::theme::{self, Mark};
 use super::{Request, Shared};
@@ -183,23 +183,22 @@ fn surface_ui(ui: &mut egui::Ui, solution: &Solution) {
         let left = format!("{:.1} % beyond noise", 100.0 * misfit);
         rows.push(("Unexplained", left));
     }
-    facts(ui, "result surface", rows);
+    facts(ui, rows);
 }
 
 /// Names with values; long ones are wrapped.
-fn facts(ui: &mut egui::Ui, id: &str, rows: Vec<(&str, String)>) {
+fn facts(ui: &mut egui::Ui, rows: Vec<(&str, String)>) {
     const NAMES: f32 = 88.0;
-    let values = (ui.available_width() - NAMES - 8.0).max(60.0);
-    Grid::new(id).num_columns(2).show(ui, |ui| {
-        for (name, value) in rows {
-            ui.weak(name);
-            ui.allocate_ui(vec2(values, 0.0), |ui| {
-                ui.set_max_width(values);
-                ui.add(egui::Label::new(value).wrap());
+    for (name, value) in rows {
+        ui.horizontal_top(|ui| {
+            let left = egui::Layout::left_to_right(egui::Align::Min);
+            ui.allocate_ui_with_layout(vec2(NAMES, 0.0), left, |ui| {
+                ui.set_min_width(NAMES);
+                ui.weak(name);
             });
-            ui.end_row();
-        }
-    });
+            ui.vertical(|ui| ui.add(egui::Label::new(value).wrap()));
+        });
+    }
     ui.add_space(theme::GAP * 0.5);
 }
 
@@ -216,7 +215,7 @@ fn corrections_ui(ui: &mut egui::Ui, solution: &Solution) {
     }
     let named = rows.iter();
     let named = named.map(|(name, text)| (name.as_str(), text.clone()));
-    facts(ui, "result corrections", named.collect());
+    facts(ui, named.collect());
 }
 
 /// What was corrected about a view, if anything was.

@@ -260,24 +260,25 @@ impl Row<'_> {
         } else {
             visuals.text_color()
         };
-        let font = egui::TextStyle::Button.resolve(ui.style());
         let small = egui::TextStyle::Small.resolve(ui.style());
         let right = rect.right_center() - vec2(6.0, 1.0);
         let share = if self.dark { "off" } else { share };
-        let share = painter.text(
-            right,
-            Align2::RIGHT_CENTER,
-            share,
-            small.clone(),
-            palette.weak,
-        );
+        let share = painter.text(right, Align2::RIGHT_CENTER, share, small, palette.weak);
         let left = rect.left_center() + vec2(6.0, -1.0);
-        let room =
-            egui::Rect::from_min_max(rect.min, egui::pos2(share.left() - 6.0, rect.bottom()));
-        let clipped = painter.with_clip_rect(room);
-        let name = clipped.text(left, Align2::LEFT_CENTER, &self.lamp.name, font, text);
-        let after = egui::pos2(name.right() + 8.0, left.y + 0.5);
-        clipped.text(after, Align2::LEFT_CENTER, &self.place, small, palette.weak);
+        let end = share.left() - 6.0;
+        let short = |text: &str, style: egui::TextStyle, from: f32| {
+            let text = egui::WidgetText::from(text);
+            let mode = Some(egui::TextWrapMode::Truncate);
+            text.into_galley(ui, mode, (end - from).max(0.0), style)
+        };
+        let name = short(&self.lamp.name, egui::TextStyle::Button, left.x);
+        let after = egui::pos2(left.x + name.size().x + 8.0, left.y);
+        let up = |galley: &egui::Galley| vec2(0.0, -0.5 * galley.size().y);
+        painter.galley(left + up(&name), name, text);
+        if after.x < end {
+            let place = short(&self.place, egui::TextStyle::Small, after.x);
+            painter.galley(after + up(&place), place, palette.weak);
+        }
         let foot = rect.left_bottom() - vec2(0.0, BAR);
         let part = vec2(rect.width() * self.share.clamp(0.0, 1.0), BAR);
         painter.rect_filled(egui::Rect::from_min_size(foot, part), 1.0, palette.accent);

@@ -150,9 +150,8 @@ fn answer(document: &Document, viewport: &Viewport, at: Pos2) -> Option<Answer> 
     })
 }
 
-/// Width from which the bar has room for a sentence, and width of its buttons, points.
-const WIDE: f32 = 580.0;
-const CHOICES: f32 = 350.0;
+/// Width from which the bar has room for a sentence beside its buttons, points.
+const WIDE: f32 = 640.0;
 
 /// Buttons for what pressing on the object does, over the foot of the viewport.
 pub(super) fn bar(ui: &mut egui::Ui, document: &Document, editing: &mut Editing) {
@@ -162,13 +161,16 @@ pub(super) fn bar(ui: &mut egui::Ui, document: &Document, editing: &mut Editing)
         ui.add(egui::Label::new(weak).truncate());
         return;
     };
-    let sentence = format!("Press on the object to place {}", lamp.name);
-    let room = ui.available_width();
-    let text = if room < WIDE { &lamp.name } else { &sentence };
-    ui.allocate_ui(egui::vec2((room - CHOICES).max(0.0), 0.0), |ui| {
-        ui.add(egui::Label::new(text).truncate())
-            .on_hover_text(&sentence);
-    });
+    // A long name must leave room for the buttons.
+    let wide = ui.available_width() >= WIDE;
+    let most = if wide { 24 } else { 7 };
+    let mut name: String = lamp.name.chars().take(most).collect();
+    if name.len() < lamp.name.len() {
+        name.push('…');
+    }
+    let sentence = format!("Press on the object to place {name}");
+    let text = if wide { &sentence } else { &name };
+    ui.label(text).on_hover_text(&sentence);
     for (what, name, tip) in [
         (
             Place::Highlight,

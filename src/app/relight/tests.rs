@@ -656,7 +656,10 @@ fn a_stopped_export_keeps_the_frames_that_were_finished() {
     wait_for(&mut window, "Export stopped");
     let kept = files(&target);
     assert!(
-        kept.len() >= 2 && kept.iter().all(|f| f.ends_with(".png")),
+        kept.len() >= 2
+            && kept
+                .iter()
+                .all(|f| Path::new(f).extension().is_some_and(|x| x == "png")),
         "{kept:?}"
     );
     let said = format!("Files of finished pictures that were kept: {}.", kept.len());

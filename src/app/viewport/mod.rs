@@ -825,10 +825,10 @@ impl Viewport {
             ui.horizontal(|ui| {
                 self.camera_ui(ui);
                 self.mode_ui(ui);
+                self.refining_ui(ui, "…");
                 ui.with_layout(right, |ui| self.extras_ui(ui));
             });
             ui.horizontal(|ui| {
-                self.refining_ui(ui);
                 ui.with_layout(right, |ui| self.exposure_ui(ui));
             });
             return;
@@ -836,7 +836,7 @@ impl Viewport {
         ui.horizontal_centered(|ui| {
             self.camera_ui(ui);
             self.mode_ui(ui);
-            self.refining_ui(ui);
+            self.refining_ui(ui, "Refining…");
             ui.with_layout(right, |ui| {
                 self.extras_ui(ui);
                 self.exposure_ui(ui);
@@ -844,10 +844,12 @@ impl Viewport {
         });
     }
 
-    fn refining_ui(&self, ui: &mut egui::Ui) {
+    /// Says, by a text that fits, that the picture is not final yet.
+    fn refining_ui(&self, ui: &mut egui::Ui, text: &str) {
         // Beside a photograph the graphics card rests.
         if !self.compares() && self.gpu.as_ref().is_some_and(|gpu| !gpu.is_settled()) {
-            ui.weak("Refining…")
+            ui.weak(text)
+                .accessible_name("Refining…")
                 .on_hover_text("Light is being baked, or the still picture made better");
         }
     }
