@@ -167,6 +167,8 @@ pub enum Purpose {
     ExportFolder,
     /// Choose a light probe.
     LightProbe,
+    /// Choose the folder of a capture, for its photographs.
+    Photographs,
     /// Save a mesh that was aligned as.
     SaveMesh,
 }
@@ -564,6 +566,9 @@ fn ask(purpose: Purpose, start: Option<&Path>) -> Option<PathBuf> {
             .set_file_name(format!("project.{EXTENSION}"))
             .save_file(),
         Purpose::ExportFolder => dialog.set_title("Export to").pick_folder(),
+        Purpose::Photographs => dialog
+            .set_title("Locate the photographs' capture")
+            .pick_folder(),
         Purpose::SaveMesh => dialog
             .set_title("Save the mesh")
             .set_file_name("mesh.obj")

@@ -63,6 +63,14 @@ impl CapturePage {
         self.opened().source == Source::Demo
     }
 
+    /// Where it was read from, unless it is built in.
+    pub fn path(&self) -> Option<PathBuf> {
+        match &self.opened().source {
+            Source::Demo => None,
+            Source::Path(path) => Some(path.clone()),
+        }
+    }
+
     /// Seconds that loading it took.
     pub fn load_s(&self) -> f64 {
         self.opened().load_s

@@ -11,6 +11,8 @@ pub enum Action {
     OpenFile,
     /// Open the built-in capture.
     Demo,
+    /// Find the photographs of a solution that was opened without them.
+    LocatePhotographs,
     /// Go to the welcome page.
     Welcome,
     /// Save the project.
@@ -221,6 +223,13 @@ pub const ENTRIES: &[Entry] = &[
         Menu::File,
         Some((CTRL, Key::D)),
         "Open the built-in capture: six photographs of a painted cow",
+    ),
+    entry(
+        Action::LocatePhotographs,
+        "Locate photographs…",
+        Menu::File,
+        None,
+        "Choose the folder of the capture that this was estimated from, to compare with its photographs",
     ),
     apart(entry(
         Action::Save,

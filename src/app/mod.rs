@@ -47,7 +47,7 @@ use projects::{Answer, Projects, Then};
 use rekindle_estimate::align::{Alignment, MarkedPoint};
 use rekindle_solution::Solution;
 use rekindle_studio::{Document, Recoverable, state_folder};
-use relight::{Export, Others, Relighting};
+use relight::{Export, Others, Problem, Relighting};
 use result::Verdict;
 use settings::Settings;
 
@@ -375,7 +375,9 @@ impl App {
                     estimation.finish(Arc::clone(&solution));
                 }
                 self.say_what_was_found(&solution);
-                self.show_document(Document::new(solution, None));
+                let mut document = Document::new(solution, None);
+                document.capture = self.capture.as_ref().and_then(CapturePage::path);
+                self.show_document(document);
             }
             Event::Done { what } => match doing {
                 Some(Doing::Exporting { export, since, .. }) => self.exported(export, *since),
@@ -428,6 +430,11 @@ impl App {
                 self.save_to(&path, then);
             }
             Purpose::ExportFolder => self.settings.export.folder = Some(path),
+            Purpose::Photographs => {
+                if let Some(relighting) = &mut self.relighting {
+                    relighting.locate_photographs(&mut self.worker, &path);
+                }
+            }
             Purpose::SaveMesh => {
                 if let Some(page) = &mut self.capture {
                     page.save_mesh(&mut self.worker, path);
@@ -575,6 +582,12 @@ impl App {
             Action::Brighter | Action::Darker | Action::Histogram | Action::ResetExposure => {
                 unless(self.viewport().is_some(), NO_OBJECT)
             }
+            Action::LocatePhotographs => unless(
+                self.relighting
+                    .as_ref()
+                    .is_some_and(Relighting::lacks_photographs),
+                "No photographs are missing.",
+            ),
             Action::Export | Action::ExportObject => {
                 unless(self.document().is_some(), ON_RELIGHTING).or_else(|| self.running())
             }
@@ -674,6 +687,7 @@ impl App {
             Action::Demo => self.ask_to_open(Source::Demo),
             Action::Save => self.save(None),
             Action::SaveAs => self.pick(Purpose::SaveProject),
+            Action::LocatePhotographs => self.pick(Purpose::Photographs),
             Action::Undo | Action::Redo if self.page == Page::Capture => {
                 if let Some(page) = &mut self.capture {
                     page.undo(ctx, action);
@@ -971,9 +985,16 @@ impl App {
             Page::Relighting => {
                 if let Some(relighting) = &mut self.relighting {
                     let problem = relighting.show(ui, &mut shared);
-                    if let Some(text) = problem {
-                        let title = "The light probe can't be used";
-                        self.notices.add(Weight::Error, title, text);
+                    match problem {
+                        Some(Problem::Probe(text)) => {
+                            let title = "The light probe can't be used";
+                            self.notices.add(Weight::Error, title, text);
+                        }
+                        Some(Problem::Photographs(text)) => {
+                            let title = "The photographs can't be used";
+                            self.notices.add(Weight::Error, title, text);
+                        }
+                        None => {}
                     }
                 }
             }

@@ -55,6 +55,8 @@ pub struct Document {
     pub(super) source: Option<PathBuf>,
     /// The project file, once there is one.
     pub(super) project: Option<PathBuf>,
+    /// The capture that it was estimated from, where that is known.
+    pub capture: Option<PathBuf>,
     probes: BTreeMap<PathBuf, Arc<ProbeLight>>,
     /// Camera and whatever else of the view is to be kept; not undone, no change worth a question.
     pub view: Value,
@@ -255,6 +257,7 @@ impl Document {
             gesture: None,
             source: folder,
             project: None,
+            capture: None,
             probes: BTreeMap::new(),
             view: Value::Null,
             revision: 0,

@@ -349,6 +349,9 @@ fn edited(folder: &Path) -> Document {
         });
     });
     document.view = serde_json::json!({ "exposure": 1.5 });
+    let capture = folder.join("scans/capture");
+    fs::create_dir(&capture).unwrap();
+    document.capture = Some(capture);
     document
 }
 
@@ -373,6 +376,8 @@ fn a_project_comes_back_as_it_was_and_can_be_moved() {
     let (moved, warnings) = Document::open(&folder.path().join("moved/evening.rekindle")).unwrap();
     assert!(warnings.is_empty(), "{warnings:?}");
     assert_eq!(moved.light().lighting, document.light().lighting);
+    let capture = moved.capture.expect("it was moved along");
+    assert!(capture.is_dir() && capture.ends_with("capture"));
 
     // Without its probe it opens, and says so; without its solution it can't.
     fs::remove_file(folder.path().join("moved/probe.exr")).unwrap();

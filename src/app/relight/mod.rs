@@ -10,6 +10,7 @@ mod handles;
 mod hemisphere;
 mod lamps;
 mod looks;
+mod photographs;
 mod pointing;
 mod programs;
 mod surroundings;
@@ -17,7 +18,6 @@ mod surroundings;
 mod tests;
 mod whereabouts;
 
-use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
@@ -37,7 +37,6 @@ use hemisphere::LitDisc;
 use pointing::Pointing;
 use programs::Programs;
 use rekindle_capture::{Camera, Capture};
-use rekindle_estimate::registration::corrected;
 use rekindle_output::export::Job;
 use rekindle_scene::hemisphere::FromAbove;
 use rekindle_studio::{Document, Place};
@@ -57,6 +56,14 @@ const MOST_DISC: f32 = 0.3;
 enum Asked {
     Pictures,
     Programs,
+}
+
+/// What is wrong with a file that was chosen on the page.
+pub(super) enum Problem {
+    /// A light probe.
+    Probe(String),
+    /// Photographs.
+    Photographs(String),
 }
 
 /// An export under way.
@@ -81,6 +88,8 @@ pub struct Relighting {
     probes: Probes,
     /// Pixels of the disc, once they are found.
     from_above: Arc<Latest<FromAbove>>,
+    /// The capture's photographs, once they are read.
+    photographs: Arc<Latest<photographs::Read>>,
     prepared: bool,
     /// The question that is open.
     question: Option<Asked>,
@@ -93,10 +102,7 @@ impl Relighting {
     /// Shows a document; `capture` is what it was solved from, if that is open.
     pub fn new(document: Document, capture: Option<&Arc<Capture>>) -> Self {
         let solution = document.solution();
-        let registered = capture.map(|capture| match corrected(capture, &solution.corrections) {
-            Cow::Borrowed(_) => Arc::clone(capture),
-            Cow::Owned(registered) => Arc::new(registered),
-        });
+        let registered = capture.map(|capture| photographs::with_corrections(capture, solution));
         let mut viewport = Viewport::new(
             Object::Solution(Arc::clone(solution)),
             solution.grid.up,
@@ -114,6 +120,7 @@ impl Relighting {
             pointing: Pointing::default(),
             probes: Probes::default(),
             from_above: Arc::default(),
+            photographs: Arc::default(),
             prepared: false,
             question: None,
             answered: Asked::Pictures,
@@ -144,6 +151,32 @@ impl Relighting {
     /// The view of the object.
     pub fn viewport_mut(&mut self) -> &mut Viewport {
         &mut self.viewport
+    }
+
+    /// Whether the photographs are not known.
+    pub(super) fn lacks_photographs(&self) -> bool {
+        self.viewport.lacks_photographs()
+    }
+
+    /// Reads photographs beside the window's thread, to compare with.
+    pub(super) fn locate_photographs(&mut self, worker: &mut Worker, path: &Path) {
+        let (slot, path) = (Arc::clone(&self.photographs), path.to_owned());
+        let solution = Arc::clone(self.document.solution());
+        worker.aside("photographs", move || {
+            slot.store(photographs::read(&path, &solution).map(|capture| (path, capture)));
+        });
+    }
+
+    /// Takes photographs that were read. Says what is wrong with them.
+    fn take_photographs(&mut self) -> Option<String> {
+        match self.photographs.take()? {
+            Ok((path, capture)) => {
+                self.document.capture = Some(path);
+                self.viewport.set_photographs(capture);
+                None
+            }
+            Err(problem) => Some(problem),
+        }
     }
 
     /// Takes a picture of the reference renderer.
@@ -264,6 +297,10 @@ impl Relighting {
         }
         if !self.prepared {
             self.prepared = true;
+            let known = self.document.capture.clone();
+            if let Some(path) = known.filter(|_| self.viewport.lacks_photographs()) {
+                self.locate_photographs(worker, &path);
+            }
             let solution = Arc::clone(self.document.solution());
             let slot = Arc::clone(&self.from_above);
             worker.aside("disc", move || {
@@ -273,9 +310,10 @@ impl Relighting {
     }
 
     /// Shows the page. Returns what is wrong, if something is.
-    pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) -> Option<String> {
+    pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) -> Option<Problem> {
         self.prepare(shared.worker);
-        let problem = self.probes.take(&mut self.document);
+        let problem = self.probes.take(&mut self.document).map(Problem::Probe);
+        let problem = problem.or(self.take_photographs().map(Problem::Photographs));
         self.editing.begin_frame();
         egui::Panel::left("lamps")
             .frame(theme::side(ui))
@@ -372,7 +410,13 @@ impl Relighting {
                     ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                         result::button(ui, self.document.solution(), shared);
                         ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| {
-                            pointing::bar(ui, &self.document, &mut self.editing);
+                            if self.viewport.compares() {
+                                ui.weak(
+                                    "The captured light is shown; lights are placed in Object.",
+                                );
+                            } else {
+                                pointing::bar(ui, &self.document, &mut self.editing);
+                            }
                         });
                     });
                 });
@@ -398,6 +442,15 @@ impl Relighting {
         let Some(seen) = self.viewport.seen().map(Seen::from) else {
             return;
         };
+        if self.viewport.take_wish() {
+            shared
+                .actions
+                .push(Request::Action(Action::LocatePhotographs));
+        }
+        // Beside a photograph no light is placed: what is shown is the captured one.
+        if self.viewport.compares() {
+            return;
+        }
         let (document, editing) = (&mut self.document, &mut self.editing);
         let held = self.handles.show(ui, &seen, document, editing);
         self.pointing

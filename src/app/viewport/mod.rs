@@ -22,7 +22,7 @@ use display::{Display, Linear};
 use eframe::egui_wgpu::RenderState;
 use gpu::GpuPicture;
 use histogram::Histogram;
-use rekindle_capture::{Camera, Capture, Mesh};
+use rekindle_capture::{Camera, Capture, Mesh, View};
 use rekindle_relight::{Lighting, ShadingPoint};
 use rekindle_relight::{ViewTransform, luminance};
 use rekindle_render::{Background, FrameRequest, Mode, RenderError};
@@ -61,8 +61,9 @@ pub struct Viewport {
     /// Radiance that is white at no stops.
     white: f32,
     compare: Compare,
-    /// Whether a comparison can be made: not while the estimation runs.
-    comparable: bool,
+    photographs: Photographs,
+    /// Whether the photographs are asked for.
+    wishes_photographs: bool,
     shots: u64,
     wanted: Option<Wanted>,
     shown: Option<Shown>,
@@ -77,6 +78,17 @@ pub struct Viewport {
     built: Arc<Latest<Occluder>>,
     /// Camera and place of the picture that was drawn last.
     last: Option<(Camera, Rect)>,
+}
+
+/// What is known of the photographs to compare with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Photographs {
+    /// Nothing is compared, as while the estimation runs.
+    Unused,
+    /// They could be compared with, were they known.
+    Missing,
+    /// They can be compared with.
+    Known,
 }
 
 /// Why the graphics card doesn't draw.
@@ -176,17 +188,17 @@ pub struct Scene<'a, F> {
 }
 
 impl Viewport {
-    /// A view of an object, with the cameras of a capture.
+    /// A view of an object, with the cameras of a capture, or, where that is not known, those that a solution kept.
     pub fn new(object: Object, up: Vec3, capture: Option<&Arc<Capture>>) -> Self {
-        let views = capture.map_or(&[][..], |capture| &capture.views);
-        let first = views.first().map(|v| &v.camera);
+        let cameras = match (capture, &object) {
+            (None, Object::Solution(solution)) => solution.cameras.clone(),
+            (Some(capture), _) | (None, Object::Capture(capture)) => cameras_of(capture),
+        };
+        let first = cameras.first().map(|(_, camera)| camera);
         Self {
             navigation: Navigation::new(object.mesh(), up.as_dvec3(), first),
             capture: capture.cloned(),
-            cameras: views
-                .iter()
-                .map(|v| (v.name.clone(), v.camera.clone()))
-                .collect(),
+            cameras,
             at: None,
             look: Look {
                 exposure: 0.0,
@@ -200,7 +212,8 @@ impl Viewport {
             failure: None,
             white: 1.0,
             compare: Compare::default(),
-            comparable: false,
+            photographs: Photographs::Unused,
+            wishes_photographs: false,
             shots: 0,
             wanted: None,
             shown: None,
@@ -306,7 +319,32 @@ impl Viewport {
 
     /// Allows the comparison with the photographs: the subject is a solution.
     pub fn allow_comparison(&mut self) {
-        self.comparable = self.capture.is_some();
+        self.photographs = match self.capture {
+            Some(_) => Photographs::Known,
+            None => Photographs::Missing,
+        };
+    }
+
+    /// Takes photographs that were located.
+    pub fn set_photographs(&mut self, capture: Arc<Capture>) {
+        self.cameras = cameras_of(&capture);
+        self.capture = Some(capture);
+        self.allow_comparison();
+        if self.at.is_some_and(|at| at >= self.cameras.len()) {
+            self.at = None;
+        }
+        self.compare.go_to(None, None);
+        self.compare.go_to(self.capture.as_ref(), self.at);
+    }
+
+    /// Whether photographs could be compared with, were they known.
+    pub fn lacks_photographs(&self) -> bool {
+        self.photographs == Photographs::Missing
+    }
+
+    /// Whether the photographs are to be located, once.
+    pub fn take_wish(&mut self) -> bool {
+        std::mem::take(&mut self.wishes_photographs)
     }
 
     /// Carries out a command about the view.
@@ -333,7 +371,7 @@ impl Viewport {
         if let Some((_, there)) = self.cameras.get(camera) {
             self.navigation.jump_to(there);
             self.at = Some(camera);
-            if self.comparable {
+            if self.photographs == Photographs::Known {
                 self.compare.go_to(self.capture.as_ref(), self.at);
             }
         }
@@ -342,7 +380,7 @@ impl Viewport {
     /// Goes to an input camera and shows there where photograph and rendering differ, if the photographs are known.
     pub fn show_difference(&mut self, camera: usize) {
         self.go_to(camera);
-        if self.comparable {
+        if self.photographs == Photographs::Known {
             self.compare.kind = Kind::Difference;
         }
     }
@@ -799,22 +837,25 @@ impl Viewport {
             return;
         };
         let mut text = name.clone();
-        if self.compare.kind != Kind::Object
-            && let Some(psnr) = self.compare.psnr()
-        {
-            text = format!("{text}   {psnr:.2} dB");
+        if self.compares() {
+            text = format!("{text}, {}", self.compare.kind.light());
+            if let Some(psnr) = self.compare.psnr() {
+                text = format!("{text}, {psnr:.2} dB");
+            }
         }
-        ui.painter_at(rect).text(
+        let drawn = ui.painter_at(rect).text(
             rect.left_top() + vec2(12.0, 10.0),
             Align2::LEFT_TOP,
-            text,
+            &text,
             egui::TextStyle::Body.resolve(ui.style()),
             theme::ON_STAGE,
         );
+        let response = ui.interact(drawn, ui.scope_id().with("what is shown"), Sense::HOVER);
+        response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Label, true, &text));
     }
 
     /// Whether a photograph and its rendering are shown instead of the object.
-    fn compares(&self) -> bool {
+    pub fn compares(&self) -> bool {
         self.compare.kind != Kind::Object && self.compare.is_possible()
     }
 
@@ -912,7 +953,8 @@ impl Viewport {
 
     /// Chooses what is shown at an input camera, over the picture's head.
     fn kinds_ui(&mut self, ui: &mut egui::Ui, rect: Rect) {
-        if !self.compare.is_possible() {
+        let missing = self.lacks_photographs() && self.at.is_some();
+        if !self.compare.is_possible() && !missing {
             return;
         }
         let place = Rect::from_min_size(rect.left_top() + vec2(8.0, 34.0), vec2(420.0, 34.0));
@@ -925,6 +967,12 @@ impl Viewport {
             frame.show(ui, |ui| {
                 ui.horizontal(|ui| {
                     ui.spacing_mut().item_spacing.x = 2.0;
+                    if missing {
+                        let locate = ui.button("Locate photographs…");
+                        let tip = "Choose the capture's folder, to compare with its photographs";
+                        self.wishes_photographs |= locate.on_hover_text(tip).clicked();
+                        return;
+                    }
                     for kind in Kind::ALL {
                         let (name, tip) = kind.words();
                         ui.selectable_value(&mut self.compare.kind, kind, name)
@@ -1010,4 +1058,10 @@ impl Viewport {
         .on_hover_text("Exposure in stops (E, Shift+E)")
         .accessible_name("Exposure");
     }
+}
+
+/// Names and cameras of a capture's views.
+fn cameras_of(capture: &Capture) -> Vec<(String, Camera)> {
+    let named = |v: &View| (v.name.clone(), v.camera.clone());
+    capture.views.iter().map(named).collect()
 }
