@@ -167,6 +167,8 @@ pub enum Purpose {
     ExportFolder,
     /// Choose a light probe.
     LightProbe,
+    /// Choose the folder of a capture, for its photographs.
+    Photographs,
     /// Save a mesh that was aligned as.
     SaveMesh,
 }
@@ -188,6 +190,10 @@ pub struct Step {
     pub iteration: Iteration,
     /// The specular model.
     pub model: SpecularModel,
+    /// What was being done.
+    pub stage: String,
+    /// Which part of the whole was done when this part of the stage began.
+    pub fraction: f32,
     /// Lit nodes and their radiances, RGB.
     pub lit: Vec<(u32, [f32; 3])>,
 }
@@ -560,6 +566,9 @@ fn ask(purpose: Purpose, start: Option<&Path>) -> Option<PathBuf> {
             .set_file_name(format!("project.{EXTENSION}"))
             .save_file(),
         Purpose::ExportFolder => dialog.set_title("Export to").pick_folder(),
+        Purpose::Photographs => dialog
+            .set_title("Locate the photographs' capture")
+            .pick_folder(),
         Purpose::SaveMesh => dialog
             .set_title("Save the mesh")
             .set_file_name("mesh.obj")
@@ -836,6 +845,8 @@ impl Observer for Shown<'_> {
                 ..*iteration
             },
             model: self.model,
+            stage: self.progress.stage.clone(),
+            fraction: self.progress.fraction,
             lit,
         }));
         self.publish();

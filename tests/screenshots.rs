@@ -62,6 +62,7 @@ fn every_state() {
     click(&mut window, "Resume");
     wait_for(&mut window, "Light 1");
     assert!(has(&window, "Viewport"));
+    wait_for(&mut window, "Close message Estimated");
     click(&mut window, "Close message Estimated");
     shoot(&mut window, "relit");
     // The first lamp's highlight, put elsewhere.
@@ -122,6 +123,55 @@ fn small_and_light() {
     snap(&mut window, "light_estimating");
     wait_for(&mut window, "Light 1");
     shoot(&mut window, "light_relit");
+}
+
+/// Pages at the sizes that people have, to be looked at: `target/layouts/*.png`.
+#[test]
+#[ignore = "writes pictures"]
+fn every_page_at_every_size() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/layouts");
+    std::fs::create_dir_all(&folder).expect("a folder");
+    for [width, height, scale] in [
+        [1024.0, 640.0, 1.0],
+        [1280.0, 800.0, 1.0],
+        [2560.0, 1440.0, 1.0],
+        [1280.0, 720.0, 2.0],
+    ] {
+        let mut window = drawn([scale * width, scale * height], None);
+        window.set_pixels_per_point(scale);
+        let page = |window: &mut Window, name: &str| {
+            window.run_steps(4);
+            let picture = window.render().expect("a picture");
+            let file = format!("{width}x{height}@{scale}_{name}.png");
+            picture.save(folder.join(file)).expect("written");
+        };
+        page(&mut window, "welcome");
+        click(&mut window, "Try the demo");
+        wait_for(&mut window, "Findings");
+        page(&mut window, "capture");
+        driver::coarse(&mut window);
+        window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Enter);
+        window.step();
+        wait_for(&mut window, "Close message Estimated");
+        click(&mut window, "Close message Estimated");
+        click(&mut window, "Light 1");
+        click(&mut window, "Result: Good");
+        page(&mut window, "relighting");
+        window
+            .get_by_label_contains("Difference at view 2, ")
+            .click();
+        window.step();
+        page(&mut window, "difference");
+        window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::E);
+        page(&mut window, "export");
+        window.key_press(egui::Key::Escape);
+        window.step();
+        click(&mut window, "Estimation");
+        page(&mut window, "estimation_result");
+        click(&mut window, "Close the result");
+        click(&mut window, "Compare with");
+        page(&mut window, "estimation");
+    }
 }
 
 #[test]

@@ -9,6 +9,7 @@ use eframe::egui::{
 };
 
 use super::commands::Action;
+use super::estimation::sentence;
 use super::placing::{Outcome, Placing, State};
 use super::points::ByPoints;
 use super::projects::Then;
@@ -60,6 +61,14 @@ impl CapturePage {
     /// Whether it is the built-in one.
     pub fn is_demo(&self) -> bool {
         self.opened().source == Source::Demo
+    }
+
+    /// Where it was read from, unless it is built in.
+    pub fn path(&self) -> Option<PathBuf> {
+        match &self.opened().source {
+            Source::Demo => None,
+            Source::Path(path) => Some(path.clone()),
+        }
     }
 
     /// Seconds that loading it took.
@@ -394,12 +403,24 @@ impl CapturePage {
     fn findings_ui(&self, ui: &mut egui::Ui) {
         theme::group(ui, "Findings");
         for finding in &self.opened().report.findings {
-            finding_ui(ui, finding);
+            let is_view = self
+                .opened()
+                .report
+                .views
+                .iter()
+                .any(|v| v.name == finding.subject);
+            // Names of files stay as they are.
+            let subject = if is_view {
+                finding.subject.clone()
+            } else {
+                sentence(&finding.subject)
+            };
+            finding_ui(ui, &subject, finding);
         }
     }
 }
 
-fn finding_ui(ui: &mut egui::Ui, finding: &Finding) {
+fn finding_ui(ui: &mut egui::Ui, subject: &str, finding: &Finding) {
     let word = match finding.severity {
         Severity::Ok => "Good",
         Severity::Note => "Note",
@@ -412,7 +433,7 @@ fn finding_ui(ui: &mut egui::Ui, finding: &Finding) {
             mark(finding.severity).show(ui).on_hover_text(word);
             ui.vertical(|ui| {
                 ui.horizontal_wrapped(|ui| {
-                    ui.label(RichText::new(&finding.subject).strong());
+                    ui.label(RichText::new(subject).strong());
                     ui.label(&finding.message);
                 });
                 if !finding.advice.is_empty() {
@@ -475,15 +496,20 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
             .labelled_by(label.id)
             .on_hover_text("Form of the specular lobe: the paper's, Beckmann's or GGX's microfacets with Fresnel factor and masking, a metal's without Fresnel factor, or whichever leaves least unexplained");
         ui.end_row();
-        let label = ui.label("Frequency");
-        ui.add(egui::DragValue::new(&mut settings.frequency).range(8..=200))
-            .labelled_by(label.id)
-            .on_hover_text("Parts into which each edge of the lights' icosahedron is divided; 70 makes 24,641 nodes");
+        let label = ui.label("Light resolution");
+        ui.horizontal(|ui| {
+            ui.add(egui::DragValue::new(&mut settings.frequency).range(8..=200))
+                .labelled_by(label.id)
+                .on_hover_text("Parts into which each edge of the lights' icosahedron is divided: the more, the finer the light");
+            let directions = directions(settings.frequency);
+            ui.weak(format!("{} directions", grouped(directions)));
+        });
         ui.end_row();
         let label = ui.label("Lights");
         ui.horizontal(|ui| {
             let mut near = settings.radius.is_some();
-            ui.checkbox(&mut near, "At distance")
+            let text = if near { "Near lights, at a distance of" } else { "Near lights" };
+            ui.checkbox(&mut near, text)
                 .on_hover_text("Seek the lights at this distance from the object's centre, in mesh units, instead of where the capture says");
             if near != settings.radius.is_some() {
                 settings.radius = near.then_some(3.0);
@@ -496,7 +522,7 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
         });
         ui.end_row();
         ui.label("Views");
-        ui.checkbox(&mut settings.as_stated, "As stated").on_hover_text(
+        ui.checkbox(&mut settings.as_stated, "Trust cameras and exposures").on_hover_text(
             "Take cameras and exposures as the capture states them. Otherwise cameras are turned until the outlines fit, \
              and exposures evened out, where either is clearly off",
         );
@@ -509,6 +535,12 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
     if reset.clicked() {
         *settings = Estimation::default();
     }
+}
+
+/// Nodes of a hemisphere of this frequency: an icosahedron's upper half, its equator shared.
+fn directions(frequency: u32) -> usize {
+    let f = frequency as usize;
+    5 * f * f + 2 * f + 1
 }
 
 fn upload_all(ctx: &egui::Context, opened: &OpenedCapture) -> Vec<[TextureHandle; 2]> {
@@ -557,4 +589,20 @@ pub(super) fn grouped(number: usize) -> String {
         text.push(digit);
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use rekindle_scene::hemisphere::HemisphereGrid;
+
+    #[test]
+    fn the_light_resolution_is_told_in_directions() {
+        for frequency in [8, 9, 24, 70] {
+            let grid = HemisphereGrid::new(frequency, Vec3::Y, None, Vec3::ZERO);
+            assert_eq!(directions(frequency), grid.directions.len());
+        }
+        assert_eq!(grouped(directions(70)), "24,641");
+    }
 }

@@ -11,6 +11,8 @@ pub enum Action {
     OpenFile,
     /// Open the built-in capture.
     Demo,
+    /// Find the photographs of a solution that was opened without them.
+    LocatePhotographs,
     /// Go to the welcome page.
     Welcome,
     /// Save the project.
@@ -27,24 +29,28 @@ pub enum Action {
     ExportObject,
     /// Add a lamp.
     AddLamp,
-    /// Put a copy of the selected lamp beside it.
+    /// Put a copy of the selected light beside it.
     DuplicateLamp,
-    /// Remove the selected lamp.
+    /// Remove the selected light.
     DeleteLamp,
     /// Switch the selected lamp off or on.
     MuteLamp,
-    /// Leave only the selected lamp on, or end that.
+    /// Leave only the selected light on, or end that.
     SoloLamp,
-    /// Pressing on the object places the selected lamp's highlight.
+    /// Pressing on the object places the selected light's highlight.
     PlaceHighlight,
-    /// Pressing on the object turns the selected lamp to where it shades brightest.
+    /// Pressing on the object turns the selected light to where it shades brightest.
     PlaceBrightest,
-    /// Pressing on the object places the selected lamp behind it.
+    /// Pressing on the object places the selected light behind it.
     PlaceRim,
     /// Select the next lamp.
     NextLamp,
+    /// Put the selected light back to how it was estimated.
+    ResetLamp,
     /// Show the next look.
     NextLook,
+    /// Show the captured light in place of a setup, or the setup again.
+    CompareCaptured,
     /// Close the window.
     Quit,
     /// Bring the mesh to where the silhouettes say.
@@ -141,6 +147,8 @@ pub struct Entry {
     pub name: &'static str,
     /// Where it is found.
     pub menu: Menu,
+    /// Whether a line parts it from the entry before it.
+    pub begins_group: bool,
     /// Its keys.
     pub keys: Option<KeyboardShortcut>,
     /// What it does, in a sentence.
@@ -175,6 +183,7 @@ const fn entry(
         action,
         name,
         menu,
+        begins_group: false,
         keys,
         tip,
     }
@@ -184,21 +193,29 @@ const NONE: Modifiers = Modifiers::NONE;
 const SHIFT: Modifiers = Modifiers::SHIFT;
 const CTRL: Modifiers = Modifiers::COMMAND;
 
-/// All commands. Where two have the same key, the one with more modifiers comes first.
+/// An entry that begins a group of its menu.
+const fn apart(entry: Entry) -> Entry {
+    Entry {
+        begins_group: true,
+        ..entry
+    }
+}
+
+/// All commands, in the order of the menus.
 pub const ENTRIES: &[Entry] = &[
-    entry(
-        Action::OpenFile,
-        "Open project…",
-        Menu::File,
-        Some((CTRL.plus(SHIFT), Key::O)),
-        "Open a project file, or a capture by its transforms.json",
-    ),
     entry(
         Action::OpenFolder,
         "Open capture…",
         Menu::File,
         Some((CTRL, Key::O)),
         "Open the folder of a capture or of a solution",
+    ),
+    entry(
+        Action::OpenFile,
+        "Open project…",
+        Menu::File,
+        Some((CTRL.plus(SHIFT), Key::O)),
+        "Open a project file, or a capture by its transforms.json",
     ),
     entry(
         Action::Demo,
@@ -208,32 +225,53 @@ pub const ENTRIES: &[Entry] = &[
         "Open the built-in capture: six photographs of a painted cow",
     ),
     entry(
-        Action::Welcome,
-        "Welcome page",
+        Action::LocatePhotographs,
+        "Locate photographs…",
         Menu::File,
         None,
-        "Go to the page with recent files; what is open stays open",
+        "Choose the folder of the capture that this was estimated from, to compare with its photographs",
     ),
+    apart(entry(
+        Action::Save,
+        "Save project",
+        Menu::File,
+        Some((CTRL, Key::S)),
+        "Save lights and setups, and the solution beside them",
+    )),
     entry(
         Action::SaveAs,
         "Save project as…",
         Menu::File,
         Some((CTRL.plus(SHIFT), Key::S)),
-        "Save lamps and looks in another file",
+        "Save lights and setups in another file",
     ),
-    entry(
-        Action::Save,
-        "Save project",
+    apart(entry(
+        Action::Export,
+        "Export pictures…",
         Menu::File,
-        Some((CTRL, Key::S)),
-        "Save lamps and looks, and the solution beside them",
-    ),
+        Some((CTRL, Key::E)),
+        "Write pictures or an animation, made by the reference renderer",
+    )),
     entry(
-        Action::Redo,
-        "Redo",
-        Menu::Edit,
-        Some((CTRL.plus(SHIFT), Key::Z)),
-        "Do again what was undone; Ctrl+Y does the same",
+        Action::ExportObject,
+        "Export for other programs…",
+        Menu::File,
+        Some((CTRL.plus(SHIFT), Key::E)),
+        "Write the object and its light for Blender, Mitsuba, glTF, USD and others",
+    ),
+    apart(entry(
+        Action::Welcome,
+        "Welcome page",
+        Menu::File,
+        None,
+        "Go to the page with recent files; what is open stays open",
+    )),
+    entry(
+        Action::Quit,
+        "Quit",
+        Menu::File,
+        Some((CTRL, Key::Q)),
+        "Close the window",
     ),
     entry(
         Action::Undo,
@@ -243,109 +281,95 @@ pub const ENTRIES: &[Entry] = &[
         "Undo the last change of the light, or of the mesh's place",
     ),
     entry(
-        Action::ExportObject,
-        "Export for other programs…",
-        Menu::File,
-        Some((CTRL.plus(SHIFT), Key::E)),
-        "Write the object and its light for Blender, Mitsuba, glTF, USD and others",
+        Action::Redo,
+        "Redo",
+        Menu::Edit,
+        Some((CTRL.plus(SHIFT), Key::Z)),
+        "Do again what was undone; Ctrl+Y does the same",
     ),
-    entry(
-        Action::Export,
-        "Export pictures…",
-        Menu::File,
-        Some((CTRL, Key::E)),
-        "Write pictures or an animation, made by the reference renderer",
-    ),
-    entry(
+    apart(entry(
         Action::AddLamp,
-        "Add lamp",
+        "Add light",
         Menu::Edit,
         Some((NONE, Key::A)),
         "Add a white disc of light",
-    ),
+    )),
     entry(
         Action::DuplicateLamp,
-        "Duplicate lamp",
+        "Duplicate light",
         Menu::Edit,
         Some((SHIFT, Key::D)),
-        "Put a copy of the selected lamp beside it",
+        "Put a copy of the selected light beside it",
     ),
     entry(
         Action::DeleteLamp,
-        "Delete lamp",
+        "Delete light",
         Menu::Edit,
         Some((NONE, Key::Delete)),
-        "Remove the selected lamp",
+        "Remove the selected light",
     ),
     entry(
+        Action::ResetLamp,
+        "Reset light",
+        Menu::Edit,
+        Some((SHIFT, Key::R)),
+        "Put the selected light back to how it was estimated",
+    ),
+    apart(entry(
         Action::MuteLamp,
-        "Mute lamp",
+        "Mute light",
         Menu::Edit,
         Some((NONE, Key::M)),
-        "Switch the selected lamp off or on",
-    ),
+        "Switch the selected light off or on",
+    )),
     entry(
         Action::SoloLamp,
-        "Solo lamp",
+        "Solo light",
         Menu::Edit,
         Some((NONE, Key::S)),
-        "Leave only the selected lamp and the ambient light on, or end that",
+        "Leave only the selected light and the ambient light on, or end that",
     ),
     entry(
+        Action::NextLamp,
+        "Select the next light",
+        Menu::Edit,
+        Some((NONE, Key::N)),
+        "Select the light below the selected one, or the first",
+    ),
+    apart(entry(
         Action::PlaceHighlight,
         "Place the highlight by pressing",
         Menu::Edit,
         Some((NONE, Key::H)),
-        "Pressing on the object puts the selected lamp's highlight there",
-    ),
+        "Pressing on the object puts the selected light's highlight there",
+    )),
     entry(
         Action::PlaceBrightest,
         "Place the brightest shading by pressing",
         Menu::Edit,
         Some((NONE, Key::B)),
-        "Pressing on the object turns the selected lamp to face it there",
+        "Pressing on the object turns the selected light to face it there",
     ),
     entry(
         Action::PlaceRim,
         "Place a rim light by pressing",
         Menu::Edit,
         Some((NONE, Key::G)),
-        "Pressing on the object lets the selected lamp graze it there from behind",
+        "Pressing on the object lets the selected light graze it there from behind",
     ),
-    entry(
-        Action::NextLamp,
-        "Select the next lamp",
-        Menu::Edit,
-        Some((NONE, Key::N)),
-        "Select the lamp below the selected one, or the first",
-    ),
-    entry(
+    apart(entry(
         Action::NextLook,
-        "Next look",
+        "Next setup",
         Menu::Edit,
         Some((NONE, Key::L)),
-        "Show the next lighting set-up",
-    ),
+        "Show the next way to light the object",
+    )),
     entry(
-        Action::Quit,
-        "Quit",
-        Menu::File,
-        Some((CTRL, Key::Q)),
-        "Close the window",
-    ),
-    entry(
-        Action::Align,
-        "Align the mesh by silhouettes",
-        Menu::Estimate,
-        None,
-        "Find the mesh's place, size and turn by the photographs' silhouettes",
-    ),
-    entry(
-        Action::AlignByPoints,
-        "Align the mesh by points…",
-        Menu::Estimate,
-        None,
-        "Set points on the mesh and mark them in photographs, to begin with",
+        Action::CompareCaptured,
+        "Compare with the captured light",
+        Menu::Edit,
+        Some((NONE, Key::C)),
+        "Show the captured light in place of this setup, then the setup again",
     ),
     entry(
         Action::Solve,
@@ -375,6 +399,20 @@ pub const ENTRIES: &[Entry] = &[
         Some((NONE, Key::Escape)),
         "Stop what is running; by its key, an estimation keeps the best so far",
     ),
+    apart(entry(
+        Action::Align,
+        "Align the mesh by silhouettes",
+        Menu::Estimate,
+        None,
+        "Find the mesh's place, size and turn by the photographs' silhouettes",
+    )),
+    entry(
+        Action::AlignByPoints,
+        "Align the mesh by points…",
+        Menu::Estimate,
+        None,
+        "Set points on the mesh and mark them in photographs, to begin with",
+    ),
     entry(
         Action::ShowCapture,
         "Show the capture",
@@ -394,15 +432,15 @@ pub const ENTRIES: &[Entry] = &[
         "Show the relighting",
         Menu::View,
         Some((NONE, Key::F3)),
-        "The object and its lamps",
+        "The object and its lights",
     ),
-    entry(
+    apart(entry(
         Action::Frame,
         "Frame the object",
         Menu::View,
         Some((NONE, Key::F)),
         "Show the whole object",
-    ),
+    )),
     entry(
         Action::ResetView,
         "Reset the view",
@@ -419,19 +457,19 @@ pub const ENTRIES: &[Entry] = &[
     camera(6, "Camera 7", Key::Num7),
     camera(7, "Camera 8", Key::Num8),
     camera(8, "Camera 9", Key::Num9),
+    apart(entry(
+        Action::Brighter,
+        "More exposure",
+        Menu::View,
+        Some((NONE, Key::E)),
+        "Half a stop more",
+    )),
     entry(
         Action::Darker,
         "Less exposure",
         Menu::View,
         Some((SHIFT, Key::E)),
         "Half a stop less",
-    ),
-    entry(
-        Action::Brighter,
-        "More exposure",
-        Menu::View,
-        Some((NONE, Key::E)),
-        "Half a stop more",
     ),
     entry(
         Action::ResetExposure,
@@ -447,13 +485,13 @@ pub const ENTRIES: &[Entry] = &[
         Some((NONE, Key::I)),
         "Show how often each brightness occurs",
     ),
-    entry(
+    apart(entry(
         Action::ToggleTheme,
         "Dark or light theme",
         Menu::View,
         Some((CTRL, Key::T)),
         "Change between the dark and the light theme",
-    ),
+    )),
     entry(
         Action::ZoomIn,
         "Larger text",
@@ -508,6 +546,22 @@ const fn camera(index: u8, name: &'static str, key: Key) -> Entry {
     )
 }
 
+/// The commands that have keys, in the order in which these are asked for: of two that share a key the one with more modifiers
+/// first, since further ones are no hindrance to a shortcut.
+pub fn by_keys() -> Vec<(KeyboardShortcut, Action)> {
+    let keys = ENTRIES.iter().filter_map(|e| Some((e.keys?, e.action)));
+    let mut keys: Vec<_> = keys.collect();
+    let modifiers = |keys: &KeyboardShortcut| {
+        let m = keys.modifiers;
+        [m.command, m.shift, m.alt]
+            .into_iter()
+            .filter(|on| *on)
+            .count()
+    };
+    keys.sort_by_key(|(keys, _)| std::cmp::Reverse(modifiers(keys)));
+    keys
+}
+
 /// The entry of an action.
 pub fn entry_of(action: Action) -> Option<&'static Entry> {
     ENTRIES.iter().find(|entry| entry.action == action)
@@ -523,16 +577,39 @@ mod tests {
             for b in &ENTRIES[i + 1..] {
                 assert!(a.action != b.action, "{:?} is listed twice", a.action);
                 assert!(a.name != b.name, "two commands are called {}", a.name);
-                let (Some(a_keys), Some(b_keys)) = (a.keys, b.keys) else {
-                    continue;
-                };
-                assert!(a_keys != b_keys, "{} and {}", a.name, b.name);
-                // egui ignores extra Shift, so a shorter combination must come after.
-                let shadowed = a_keys.logical_key == b_keys.logical_key
-                    && b_keys.modifiers.contains(a_keys.modifiers)
-                    && b_keys.modifiers != a_keys.modifiers;
-                assert!(!shadowed, "{} never hears its key: {}", b.name, a.name);
             }
         }
+        let keys = by_keys();
+        for (i, (a, first)) in keys.iter().enumerate() {
+            for (b, second) in &keys[i + 1..] {
+                assert!(a != b, "{first:?} and {second:?}");
+                // egui ignores extra Shift, so a shorter combination must come after.
+                let shadowed = a.logical_key == b.logical_key
+                    && b.modifiers.contains(a.modifiers)
+                    && b.modifiers != a.modifiers;
+                assert!(!shadowed, "{second:?} never hears its key: {first:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn menus_have_the_order_that_people_expect() {
+        let place = |action| ENTRIES.iter().position(|e| e.action == action);
+        for (first, second) in [
+            (Action::Undo, Action::Redo),
+            (Action::Save, Action::SaveAs),
+            (Action::OpenFolder, Action::Save),
+            (Action::Export, Action::Quit),
+        ] {
+            assert!(place(first) < place(second), "{first:?} before {second:?}");
+        }
+        // The entries of a menu stand together, and no line is above its first.
+        let starts = ENTRIES.iter().enumerate().filter(|(i, e)| {
+            i.checked_sub(1)
+                .is_none_or(|before| ENTRIES[before].menu != e.menu)
+        });
+        let starts: Vec<&Entry> = starts.map(|(_, e)| e).collect();
+        assert_eq!(starts.len(), Menu::ALL.len());
+        assert!(starts.iter().all(|e| !e.begins_group));
     }
 }

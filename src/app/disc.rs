@@ -205,6 +205,7 @@ pub fn exposure_ui(ui: &mut egui::Ui, exposure: &mut HemisphereExposure) {
                 egui::DragValue::new(&mut exposure.decades)
                     .range(0.5..=8.0)
                     .speed(0.02)
+                    .prefix("Range: ")
                     .suffix(" decades"),
             )
             .on_hover_text("Powers of ten from black to white")

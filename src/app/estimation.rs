@@ -9,12 +9,12 @@ use glam::Vec3;
 use super::capture_page::estimation_ui;
 use super::commands::Action;
 use super::disc::{self, Disc, DiscTexture};
-use super::plots::{self, Marks};
+use super::plots::Curves;
 use super::viewport::{Object, Scene, Viewport};
-use super::{Request, Shared, theme};
+use super::{Request, Shared, result, theme};
 use crate::worker::{Progress, Rendered, Step, Subject};
 use rekindle_capture::Capture;
-use rekindle_estimate::estimate::Iteration;
+use rekindle_estimate::estimate::Method;
 use rekindle_relight::{LampNodes, LightNode, Lighting};
 use rekindle_scene::hemisphere::{HemisphereGrid, Picture};
 use rekindle_scene::reflectance::Brdf;
@@ -26,6 +26,13 @@ const PATCHES: u32 = 4;
 const MANY: usize = 300;
 /// … on a grid of this frequency.
 const JOINED: u32 = 10;
+/// Least width of the hemispheres, and of the object beside them, points.
+const HEMISPHERES: f32 = 300.0;
+const OBJECT: f32 = 410.0;
+/// Widths from which the hemisphere's title has room beside its controls, short and in full, points.
+const TITLES: [f32; 2] = [350.0, 450.0];
+/// Width in which an iteration's name is read, points.
+const NAMES: f32 = 250.0;
 /// Below this part of the whole the time left is a guess not worth showing.
 const TELLING: f32 = 0.08;
 
@@ -62,6 +69,7 @@ struct StepPicture {
 pub struct Estimation {
     job: u64,
     capture: Arc<Capture>,
+    method: Method,
     state: State,
     progress: Option<Arc<Progress>>,
     solution: Option<Arc<Solution>>,
@@ -79,13 +87,14 @@ pub struct Estimation {
 
 impl Estimation {
     /// An estimation that was just started as command `job`.
-    pub fn new(capture: Arc<Capture>, job: u64) -> Self {
+    pub fn new(capture: Arc<Capture>, method: Method, job: u64) -> Self {
         let up = capture.light_hemisphere.up.as_vec3();
         let mut viewport = Viewport::new(Object::Capture(Arc::clone(&capture)), up, Some(&capture));
         viewport.set_white(white(&capture));
         Self {
             job,
             capture,
+            method,
             state: State::Running,
             progress: None,
             solution: None,
@@ -166,6 +175,9 @@ impl Estimation {
         egui::Panel::top("estimation progress")
             .frame(theme::side(ui))
             .show(ui, |ui| self.progress_ui(ui, shared));
+        if let Some(solution) = self.solution.clone() {
+            result::panel(ui, &solution, shared);
+        }
         let tall = (ui.available_height() * 0.3).clamp(130.0, 240.0);
         egui::Panel::bottom("estimation plots")
             .frame(theme::side(ui))
@@ -178,7 +190,8 @@ impl Estimation {
             .frame(theme::side(ui))
             .resizable(true)
             .default_size(wide)
-            .size_range(320.0..=1200.0)
+            // A width from a larger window must leave room for the object.
+            .size_range(HEMISPHERES..=(ui.available_width() - OBJECT).max(HEMISPHERES))
             .show(ui, |ui| self.hemispheres_ui(ui, shared));
         egui::CentralPanel::default()
             .frame(theme::stage())
@@ -200,7 +213,7 @@ impl Estimation {
                 State::Stopped => ("Stopped".to_owned(), fraction),
                 State::Done => ("Done".to_owned(), 1.0),
             };
-            let buttons = 330.0;
+            let buttons = 480.0;
             ui.vertical(|ui| {
                 ui.set_width((ui.available_width() - buttons).max(160.0));
                 ui.horizontal(|ui| {
@@ -248,7 +261,7 @@ impl Estimation {
         if self.state == State::Done {
             let relight = ui.add(theme::main_button(ui, "Relight"));
             if relight
-                .on_hover_text("To the object and its lamps (F3)")
+                .on_hover_text("To the object and its lights (F3)")
                 .clicked()
             {
                 give(Action::ShowRelighting);
@@ -264,6 +277,9 @@ impl Estimation {
         })
         .response
         .on_hover_text("How to estimate the next time");
+        if let Some(solution) = &self.solution {
+            result::button(ui, solution, shared);
+        }
     }
 
     /// Elapsed time, and what is left if it can be told.
@@ -291,21 +307,29 @@ impl Estimation {
         format!("{elapsed:.0} s, about {:.0} s left", left.ceil())
     }
 
-    fn plots_ui(&self, ui: &mut egui::Ui) {
-        let iterations: Vec<Iteration> = self.steps().iter().map(|s| s.iteration).collect();
-        let tried = self.progress.as_ref().map_or(&[][..], |p| &p.tried);
-        let marks = Marks {
-            shown: self.shown().map(|k| iterations[k]),
-            other: self.other.and_then(|k| iterations.get(k).copied()),
+    fn plots_ui(&mut self, ui: &mut egui::Ui) {
+        let curves = Curves {
+            steps: self.steps(),
+            tried: self.progress.as_ref().map_or(&[][..], |p| &p.tried),
+            method: self.method,
+            shown: self.shown(),
+            other: self.other,
             interval: self.solution.as_ref().and_then(|s| s.sigma_interval95),
         };
-        plots::show(ui, &iterations, tried, marks);
+        if let Some(clicked) = curves.show(ui) {
+            self.look = Look::Step(clicked);
+        }
     }
 
     fn hemispheres_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
         let exposure = &mut shared.settings.hemisphere;
         ui.horizontal(|ui| {
-            theme::group(ui, "Hemisphere, seen from above");
+            let title = match ui.available_width() {
+                room if room > TITLES[1] => "Hemisphere, seen from above",
+                room if room > TITLES[0] => "Hemisphere",
+                _ => "",
+            };
+            theme::group(ui, title).on_hover_text("Seen from above; the rim is the horizon");
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 disc::exposure_ui(ui, exposure);
             });
@@ -318,9 +342,13 @@ impl Estimation {
         let side = ((room.x - 8.0 * (discs - 1.0)) / discs)
             .min(room.y - strip - controls)
             .max(80.0);
-        ui.horizontal(|ui| {
-            ui.add_space((0.5 * (room.x - discs * side - 8.0 * (discs - 1.0))).max(0.0));
-            ui.vertical(|ui| {
+        // Names are wider than small discs.
+        let cell = side.max(NAMES.min(room.x / discs - 8.0));
+        let size = egui::vec2(cell, side);
+        let column = egui::Layout::top_down(egui::Align::Center);
+        ui.horizontal_top(|ui| {
+            ui.add_space((0.5 * (room.x - discs * cell - 8.0 * (discs - 1.0))).max(0.0));
+            ui.allocate_ui_with_layout(size, column, |ui| {
                 let name = self.main_name();
                 let texture = self.main_texture(ui.ctx(), exposure);
                 let (response, disc) =
@@ -330,10 +358,10 @@ impl Estimation {
                 }
                 disc::mirror_mark(ui, &disc, self.viewport.mirrored());
                 disc::direction_tip(response, &disc);
-                caption(ui, side, name);
+                caption(ui, cell, name);
             });
             if let Some(k) = self.other {
-                ui.vertical(|ui| {
+                ui.allocate_ui_with_layout(size, column, |ui| {
                     let name = self.step_name(k);
                     let texture = step_texture(
                         &mut self.beside,
@@ -350,7 +378,7 @@ impl Estimation {
                         Sense::hover(),
                         &format!("Compared {name}"),
                     );
-                    caption(ui, side, name);
+                    caption(ui, cell, name);
                 });
             }
         });

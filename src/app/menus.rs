@@ -1,9 +1,12 @@
 //! The bar at the top: menus, the pages, and what is running.
 
+use std::time::{Duration, Instant};
+
 use eframe::egui::{self, Button, RichText};
 
 use super::commands::{Action, ENTRIES, Menu};
 use super::navigation::Habit;
+use super::relight::duration_in_words;
 use super::{App, Doing, Page, Request, Source, theme};
 
 /// Shows the bar; returns what was asked for.
@@ -31,22 +34,29 @@ fn menu_ui(ui: &mut egui::Ui, app: &App, menu: Menu, requests: &mut Vec<Request>
             if matches!(entry.action, Action::Camera(_)) && !app.enabled(entry.action) {
                 continue;
             }
+            if entry.begins_group {
+                ui.separator();
+            }
             let mut button = Button::new(entry.name);
             if let Some(keys) = entry.keys_text(ui.ctx()) {
                 button = button.shortcut_text(keys);
             }
+            let obstacle = app.obstacle(entry.action);
+            let why_not = obstacle.unwrap_or_default();
             let response = ui
-                .add_enabled(app.enabled(entry.action), button)
-                .on_hover_text(entry.tip);
+                .add_enabled(obstacle.is_none(), button)
+                .on_hover_text(entry.tip)
+                .on_disabled_hover_text(format!("{}. {why_not}", entry.tip));
             if response.clicked() {
                 requests.push(Request::Action(entry.action));
                 ui.close();
             }
-            if entry.action == Action::OpenFolder {
+            if entry.action == Action::OpenFile {
                 recent_ui(ui, app, requests);
             }
         }
         if menu == Menu::View {
+            ui.separator();
             habits_ui(ui, app, requests);
         }
     });
@@ -106,7 +116,7 @@ fn pages_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
             Page::Relighting,
             "Relighting",
             Action::ShowRelighting,
-            "The object and its lamps (F3)",
+            "The object and its lights (F3)",
         ),
     ] {
         let here = app.page == page;
@@ -134,7 +144,9 @@ fn running_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
         Doing::Aligning(part) => format!("Aligning, {:.0} %", 100.0 * part),
         Doing::Solving if app.worker.is_paused() => "Paused".to_owned(),
         Doing::Solving => "Estimating".to_owned(),
-        Doing::Exporting { said, .. } => said.clone(),
+        Doing::Exporting {
+            said, part, since, ..
+        } => exporting_ui(ui, said, *part, *since),
     };
     // These pages have a button of their own.
     let own = match app.page {
@@ -149,4 +161,24 @@ fn running_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
         }
     }
     ui.label(RichText::new(text).color(theme::palette(ui).accent));
+}
+
+/// How far an export is, as a bar; with it what is said beside.
+fn exporting_ui(ui: &mut egui::Ui, said: &str, part: f32, since: Instant) -> String {
+    /// Below this part of the whole the time left is a guess not worth showing.
+    const TELLING: f32 = 0.05;
+    let bar = egui::ProgressBar::new(part)
+        .desired_width(110.0)
+        .desired_height(8.0)
+        .fill(theme::palette(ui).accent);
+    ui.add(bar).accessible_name("Progress of the export");
+    // The time goes on between the news.
+    ui.ctx().request_repaint_after(Duration::from_millis(500));
+    let percent = (100.0 * part).floor();
+    if part < TELLING {
+        return format!("{said}, {percent} %");
+    }
+    let seconds = since.elapsed().as_secs_f64();
+    let left = duration_in_words(seconds * f64::from((1.0 - part) / part));
+    format!("{said}, {percent} %, about {left} left")
 }

@@ -21,6 +21,7 @@ mod plots;
 mod points;
 mod projects;
 mod relight;
+mod result;
 mod settings;
 mod theme;
 mod viewport;
@@ -28,13 +29,15 @@ mod welcome;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
 
 use eframe::egui;
 use eframe::egui_wgpu::RenderState;
 
 use crate::worker::{Command, Event, OpenedCapture, Purpose, Source, Worker};
 use capture_page::CapturePage;
-use commands::{Action, ENTRIES};
+use commands::Action;
 use estimation::Estimation;
 use navigation::Habit;
 use notices::{Notices, Weight};
@@ -42,11 +45,19 @@ use open_path::OpenPath;
 use palette::{Chosen, CommandPalette};
 use projects::{Answer, Projects, Then};
 use rekindle_estimate::align::{Alignment, MarkedPoint};
+use rekindle_solution::Solution;
 use rekindle_studio::{Document, Recoverable, state_folder};
-use relight::Relighting;
+use relight::{Export, Others, Problem, Relighting};
+use result::Verdict;
 use settings::Settings;
 
 pub use theme::install as install_theme;
+
+/// Why commands can't be given.
+const NO_CAPTURE: &str = "No capture is open.";
+const NO_LIGHT: &str = "There is no light yet; estimate it, or open a project or a solution.";
+const NO_OBJECT: &str = "No object is shown on this page.";
+const ON_RELIGHTING: &str = "It is a command of the relighting page.";
 
 /// Where the settings are stored.
 const SETTINGS: &str = "settings";
@@ -69,10 +80,12 @@ enum Doing {
     Aligning(f32),
     Solving,
     Exporting {
-        /// Where to.
-        folder: PathBuf,
-        /// What is made and how far it is.
+        export: Export,
+        /// What is made.
         said: String,
+        /// Which part of it is done, and since when it has been done.
+        part: f32,
+        since: Instant,
     },
 }
 
@@ -114,6 +127,10 @@ enum Request {
     Habit(Habit),
     Recover(usize),
     Discard(usize),
+    /// Export as the question about it says.
+    Export(Others),
+    /// Show where a view's photograph and its rendering differ.
+    ShowDifference(usize),
     /// Align the mesh, beginning with these points; without any from nothing.
     Align(Vec<MarkedPoint>),
 }
@@ -250,7 +267,8 @@ impl App {
         };
         if self.start(command, Doing::Solving) {
             let number = self.job.as_ref().map_or(0, |job| job.number);
-            self.estimation = Some(Estimation::new(capture, number));
+            let method = self.settings.estimation.method;
+            self.estimation = Some(Estimation::new(capture, method, number));
             self.page = Page::Estimation;
         }
     }
@@ -287,9 +305,9 @@ impl App {
             let job = self.job.as_mut().filter(|job| job.number == progress.job);
             match (job.map(|job| &mut job.doing), &mut self.estimation) {
                 (Some(Doing::Aligning(part)), _) => *part = progress.fraction,
-                (Some(Doing::Exporting { said, .. }), _) => {
-                    let percent = (100.0 * progress.fraction).floor();
-                    *said = format!("Exporting {}, {percent} %", progress.stage);
+                (Some(Doing::Exporting { said, part, .. }), _) => {
+                    *said = format!("Exporting {}", progress.stage);
+                    *part = progress.fraction;
                 }
                 (_, Some(estimation)) => estimation.update(progress),
                 _ => {}
@@ -356,20 +374,13 @@ impl App {
                 if let Some(estimation) = &mut self.estimation {
                     estimation.finish(Arc::clone(&solution));
                 }
-                let lamps = match solution.lamps.len() {
-                    0 => "No lamps were found.".to_owned(),
-                    1 => "One lamp was found.".to_owned(),
-                    n => format!("{n} lamps were found."),
-                };
-                let text = format!("{lamps} Surface: {}.", solution.surface_in_words());
-                self.notices.add(Weight::Done, "Estimated", text);
-                self.show_document(Document::new(solution, None));
+                self.say_what_was_found(&solution);
+                let mut document = Document::new(solution, None);
+                document.capture = self.capture.as_ref().and_then(CapturePage::path);
+                self.show_document(document);
             }
             Event::Done { what } => match doing {
-                Some(Doing::Exporting { folder, .. }) => {
-                    let text = folder.display().to_string();
-                    self.notices.add(Weight::Done, "Exported", text);
-                }
+                Some(Doing::Exporting { export, since, .. }) => self.exported(export, *since),
                 _ => self.notices.add(Weight::Done, what, ""),
             },
             Event::Stopped => {
@@ -377,9 +388,8 @@ impl App {
                     let text = "The mesh is where it was.";
                     self.notices.add(Weight::Note, "Alignment stopped", text);
                 }
-                if matches!(doing, Some(Doing::Exporting { .. })) {
-                    let text = "Pictures that were finished are in the folder.";
-                    self.notices.add(Weight::Note, "Export stopped", text);
+                if let Some(Doing::Exporting { export, .. }) = doing {
+                    self.export_stopped(export);
                 }
                 if let Some(estimation) = &mut self.estimation
                     && matches!(doing, Some(Doing::Solving))
@@ -419,7 +429,12 @@ impl App {
                 let then = self.save_then.take();
                 self.save_to(&path, then);
             }
-            Purpose::ExportFolder => self.export_to(&path),
+            Purpose::ExportFolder => self.settings.export.folder = Some(path),
+            Purpose::Photographs => {
+                if let Some(relighting) = &mut self.relighting {
+                    relighting.locate_photographs(&mut self.worker, &path);
+                }
+            }
             Purpose::SaveMesh => {
                 if let Some(page) = &mut self.capture {
                     page.save_mesh(&mut self.worker, path);
@@ -439,14 +454,41 @@ impl App {
         }
     }
 
-    fn export_to(&mut self, folder: &Path) {
-        let command = self.relighting.as_ref().and_then(|r| r.export_to(folder));
-        if let Some(command) = command.filter(|_| self.job.is_none()) {
+    fn export(&mut self, others: Others) {
+        let relighting = self.relighting.as_ref().filter(|_| self.job.is_none());
+        let asked = relighting.and_then(|r| r.export(&self.settings.export, others));
+        if let Some((command, export)) = asked {
             let doing = Doing::Exporting {
-                folder: folder.to_owned(),
+                export,
                 said: "Exporting".to_owned(),
+                part: 0.0,
+                since: Instant::now(),
             };
             self.start(command, doing);
+        }
+    }
+
+    fn exported(&mut self, export: &Export, since: Instant) {
+        if let Some(megapixels) = export.megapixels.filter(|m| *m > 0.0) {
+            let seconds = since.elapsed().as_secs_f64();
+            self.settings.export.seconds_per_megapixel = Some(seconds / megapixels);
+        }
+        self.notices
+            .add_folder(Weight::Done, "Exported", "", &export.folder);
+    }
+
+    fn export_stopped(&mut self, export: &Export) {
+        let title = "Export stopped";
+        match export.kept.load(Ordering::Relaxed) {
+            0 => {
+                let text = "No picture was finished; nothing was written.";
+                self.notices.add(Weight::Note, title, text);
+            }
+            kept => {
+                let text = format!("Files of finished pictures that were kept: {kept}.");
+                self.notices
+                    .add_folder(Weight::Note, title, text, &export.folder);
+            }
         }
     }
 
@@ -461,8 +503,43 @@ impl App {
         self.page = Page::Capture;
     }
 
+    fn say_what_was_found(&mut self, solution: &Solution) {
+        let lights = match solution.lamps.len() {
+            0 => "No lights were found.".to_owned(),
+            1 => "One light was found.".to_owned(),
+            n => format!("{n} lights were found."),
+        };
+        let (weight, title, more) = match Verdict::of(&solution.diagnostics) {
+            Verdict::Good | Verdict::Noted => (Weight::Done, "Estimated", ""),
+            Verdict::Doubtful => (
+                Weight::Note,
+                "Estimated, with doubts",
+                " The result card says what to do.",
+            ),
+            Verdict::Failed => (
+                Weight::Note,
+                "No lighting could be recovered",
+                " The result card says why and what to do.",
+            ),
+        };
+        let text = format!("{lights} Surface: {}.{more}", solution.surface_in_words());
+        self.notices.add(weight, title, text);
+    }
+
+    /// Shows at an input camera where photograph and rendering differ.
+    fn show_difference(&mut self, view: usize) {
+        if let Some(relighting) = &mut self.relighting {
+            relighting.viewport_mut().show_difference(view);
+            self.page = Page::Relighting;
+        }
+    }
+
     fn show_document(&mut self, document: Document) {
         self.projects.reset();
+        self.settings.export.forget_name();
+        if Verdict::of(&document.solution().diagnostics).asks_for_a_look() {
+            self.settings.result = true;
+        }
         let capture = self.capture.as_ref().map(|page| Arc::clone(page.capture()));
         self.relighting = Some(Relighting::new(document, capture.as_ref()));
         self.page = Page::Relighting;
@@ -470,40 +547,49 @@ impl App {
 
     /// Whether a command can be given now.
     fn enabled(&self, action: Action) -> bool {
-        let solving = self
-            .job
-            .as_ref()
-            .is_some_and(|job| matches!(job.doing, Doing::Solving));
+        self.obstacle(action).is_none()
+    }
+
+    /// Why a command can't be given now, if it can't.
+    fn obstacle(&self, action: Action) -> Option<&'static str> {
         match action {
-            Action::OpenFolder | Action::OpenFile | Action::Demo => self.job.is_none(),
-            Action::Solve => self.free_capture().is_some_and(CapturePage::is_seen),
-            Action::Align | Action::AlignByPoints => self.free_capture().is_some(),
-            Action::Save | Action::SaveAs => {
-                self.relighting.is_some() && !self.projects.is_saving()
+            Action::OpenFolder | Action::OpenFile | Action::Demo => self.running(),
+            Action::Solve | Action::Align | Action::AlignByPoints => self.obstacle_of_work(action),
+            Action::Save | Action::SaveAs => unless(self.relighting.is_some(), NO_LIGHT).or(
+                unless(!self.projects.is_saving(), "The project is being saved."),
+            ),
+            Action::Undo | Action::Redo => self.obstacle_of_history(action),
+            Action::Pause | Action::KeepBest => {
+                unless(self.is_solving(), "No estimation is running.")
             }
-            Action::Undo | Action::Redo if self.page == Page::Capture => {
-                self.free_capture().is_some_and(|page| page.can(action))
-            }
-            Action::Undo => self.document().is_some_and(|d| d.undo_label().is_some()),
-            Action::Redo => self.document().is_some_and(|d| d.redo_label().is_some()),
-            Action::Pause | Action::KeepBest => solving,
-            Action::Stop => self.job.is_some(),
-            Action::ShowCapture => self.capture.is_some(),
-            Action::ShowEstimation => self.estimation.is_some(),
-            Action::ShowRelighting => self.relighting.is_some(),
+            Action::Stop => unless(self.job.is_some(), "Nothing is running."),
+            Action::ShowCapture => unless(self.capture.is_some(), NO_CAPTURE),
+            Action::ShowEstimation => unless(
+                self.estimation.is_some(),
+                "Nothing has been estimated since the program was started.",
+            ),
+            Action::ShowRelighting => unless(self.relighting.is_some(), NO_LIGHT),
             Action::Camera(n) => {
                 let on_page = self.points_page().map(|page| page.capture().views.len());
                 let cameras = on_page.or_else(|| self.viewport().map(viewport::Viewport::cameras));
-                cameras.is_some_and(|cameras| usize::from(n) < cameras)
+                let there = cameras.is_some_and(|cameras| usize::from(n) < cameras);
+                unless(there, "There is no such camera here.")
             }
             Action::Frame | Action::ResetView => {
-                self.viewport().is_some() || self.points_page().is_some()
+                let shown = self.viewport().is_some() || self.points_page().is_some();
+                unless(shown, NO_OBJECT)
             }
             Action::Brighter | Action::Darker | Action::Histogram | Action::ResetExposure => {
-                self.viewport().is_some()
+                unless(self.viewport().is_some(), NO_OBJECT)
             }
+            Action::LocatePhotographs => unless(
+                self.relighting
+                    .as_ref()
+                    .is_some_and(Relighting::lacks_photographs),
+                "No photographs are missing.",
+            ),
             Action::Export | Action::ExportObject => {
-                self.document().is_some() && self.job.is_none()
+                unless(self.document().is_some(), ON_RELIGHTING).or_else(|| self.running())
             }
             Action::AddLamp
             | Action::DuplicateLamp
@@ -514,12 +600,46 @@ impl App {
             | Action::PlaceBrightest
             | Action::PlaceRim
             | Action::NextLamp
-            | Action::NextLook => {
+            | Action::ResetLamp
+            | Action::NextLook
+            | Action::CompareCaptured => {
                 let relighting = self.relighting.as_ref();
-                self.page == Page::Relighting && relighting.is_some_and(|r| r.enabled(action))
+                let here = relighting.filter(|_| self.page == Page::Relighting);
+                here.map_or(Some(ON_RELIGHTING), |r| r.obstacle(action))
             }
-            _ => true,
+            _ => None,
         }
+    }
+
+    /// What stands in the way of what needs the worker, while that works.
+    fn running(&self) -> Option<&'static str> {
+        unless(
+            self.job.is_none(),
+            "Something is running; stop it, or wait for its end.",
+        )
+    }
+
+    fn obstacle_of_work(&self, action: Action) -> Option<&'static str> {
+        let Some(page) = &self.capture else {
+            return Some(NO_CAPTURE);
+        };
+        let seen = action != Action::Solve || page.is_seen();
+        self.running()
+            .or(unless(seen, "No camera sees the mesh; align it first."))
+    }
+
+    fn obstacle_of_history(&self, action: Action) -> Option<&'static str> {
+        let possible = match (action, self.page) {
+            (_, Page::Capture) => self.free_capture().is_some_and(|page| page.can(action)),
+            (Action::Undo, _) => self.document().is_some_and(|d| d.undo_label().is_some()),
+            _ => self.document().is_some_and(|d| d.redo_label().is_some()),
+        };
+        let nothing = if action == Action::Undo {
+            "There is nothing to undo."
+        } else {
+            "There is nothing to do again."
+        };
+        unless(possible, nothing)
     }
 
     /// The capture's page, while nothing is done at length.
@@ -567,6 +687,7 @@ impl App {
             Action::Demo => self.ask_to_open(Source::Demo),
             Action::Save => self.save(None),
             Action::SaveAs => self.pick(Purpose::SaveProject),
+            Action::LocatePhotographs => self.pick(Purpose::Photographs),
             Action::Undo | Action::Redo if self.page == Page::Capture => {
                 if let Some(page) = &mut self.capture {
                     page.undo(ctx, action);
@@ -621,7 +742,9 @@ impl App {
             | Action::PlaceBrightest
             | Action::PlaceRim
             | Action::NextLamp
-            | Action::NextLook => {
+            | Action::ResetLamp
+            | Action::NextLook
+            | Action::CompareCaptured => {
                 if let Some(relighting) = &mut self.relighting {
                     relighting.act(action);
                 }
@@ -656,6 +779,9 @@ impl App {
             ("Redone", document.redo())
         };
         if let Some(label) = label {
+            let mut letters = label.chars();
+            let first = letters.next().map(char::to_lowercase);
+            let label: String = first.into_iter().flatten().chain(letters).collect();
             self.notices
                 .add(Weight::Note, format!("{word}: {label}"), "");
         }
@@ -746,9 +872,8 @@ impl App {
             .relighting
             .as_mut()
             .and_then(|relighting| relighting.viewport_mut().take_failure());
-        if let Some(text) = failure {
-            self.notices
-                .add(Weight::Error, "Drawing failed on the graphics card", text);
+        if let Some((title, text)) = failure {
+            self.notices.add(Weight::Error, title, text);
         }
         if ctx.input(|i| i.viewport().close_requested()) && !self.leaving && self.has_unsaved_work()
         {
@@ -801,24 +926,19 @@ impl App {
                     actions.push(action);
                 }
             }
-            for entry in ENTRIES {
-                let Some(keys) = entry.keys else { continue };
+            for (keys, action) in commands::by_keys() {
                 let plain = !keys.modifiers.command && !is_function_key(keys.logical_key);
                 // Without a modifier a key may be meant for a text field, or close a menu.
-                if plain && (typing || any_popup || self.keys) && entry.action != Action::Keys {
+                if plain && (typing || any_popup || self.keys) && action != Action::Keys {
                     continue;
                 }
                 if plain && typing {
                     continue;
                 }
-                if self.enabled(entry.action) && input.consume_shortcut(&keys) {
+                if self.enabled(action) && input.consume_shortcut(&keys) {
                     // A key pressed by chance must not throw an estimation away.
-                    let keeps = entry.action == Action::Stop && self.is_solving();
-                    actions.push(if keeps {
-                        Action::KeepBest
-                    } else {
-                        entry.action
-                    });
+                    let keeps = action == Action::Stop && self.is_solving();
+                    actions.push(if keeps { Action::KeepBest } else { action });
                 }
             }
         });
@@ -865,9 +985,16 @@ impl App {
             Page::Relighting => {
                 if let Some(relighting) = &mut self.relighting {
                     let problem = relighting.show(ui, &mut shared);
-                    if let Some(text) = problem {
-                        let title = "The light probe can't be used";
-                        self.notices.add(Weight::Error, title, text);
+                    match problem {
+                        Some(Problem::Probe(text)) => {
+                            let title = "The light probe can't be used";
+                            self.notices.add(Weight::Error, title, text);
+                        }
+                        Some(Problem::Photographs(text)) => {
+                            let title = "The photographs can't be used";
+                            self.notices.add(Weight::Error, title, text);
+                        }
+                        None => {}
                     }
                 }
             }
@@ -885,7 +1012,7 @@ impl App {
 
     fn show_dialogs(&mut self, ctx: &egui::Context) {
         if let Some(mut palette) = self.palette.take() {
-            match palette.show(ctx, |action| self.enabled(action)) {
+            match palette.show(ctx, |action| self.obstacle(action)) {
                 Chosen::Nothing => self.palette = Some(palette),
                 Chosen::Closed => {}
                 Chosen::Action(action) => self.act(ctx, action),
@@ -915,6 +1042,11 @@ impl App {
     }
 }
 
+/// Why not, unless something holds.
+fn unless(holds: bool, why_not: &'static str) -> Option<&'static str> {
+    (!holds).then_some(why_not)
+}
+
 fn is_function_key(key: egui::Key) -> bool {
     use egui::Key;
     matches!(
@@ -942,6 +1074,8 @@ impl eframe::App for App {
                 Request::Recover(index) => self.recover(index),
                 Request::Discard(index) => self.projects.discard(index),
                 Request::Habit(habit) => self.settings.habit = habit,
+                Request::Export(others) => self.export(others),
+                Request::ShowDifference(view) => self.show_difference(view),
                 Request::Align(points) => self.align(points),
             }
         }

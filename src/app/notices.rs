@@ -1,5 +1,8 @@
 //! Messages: errors stay until closed, the rest goes by itself.
 
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
 use eframe::egui::{self, Align2, Id, Order, RichText, Stroke, vec2};
 
 use super::theme::{self, Mark};
@@ -25,6 +28,8 @@ struct Notice {
     weight: Weight,
     title: String,
     text: String,
+    /// A folder that it is about.
+    folder: Option<PathBuf>,
     /// When it goes, in the window's seconds.
     until: Option<f64>,
 }
@@ -39,7 +44,21 @@ pub struct Notices {
 impl Notices {
     /// Adds a message. An error stays until it is closed; one like it is replaced.
     pub fn add(&mut self, weight: Weight, title: impl Into<String>, text: impl Into<String>) {
-        let (title, text) = (title.into(), text.into());
+        self.push(weight, title.into(), text.into(), None);
+    }
+
+    /// Adds a message about a folder, which it names and offers to open.
+    pub fn add_folder(
+        &mut self,
+        weight: Weight,
+        title: impl Into<String>,
+        text: impl Into<String>,
+        folder: &Path,
+    ) {
+        self.push(weight, title.into(), text.into(), Some(folder.to_owned()));
+    }
+
+    fn push(&mut self, weight: Weight, title: String, text: String, folder: Option<PathBuf>) {
         self.notices
             .retain(|n| n.title != title || n.weight != weight);
         self.count += 1;
@@ -48,6 +67,7 @@ impl Notices {
             weight,
             title,
             text,
+            folder,
             until: None,
         });
         let surplus = self.notices.len().saturating_sub(MOST);
@@ -112,10 +132,51 @@ fn notice_ui(ui: &mut egui::Ui, notice: &Notice) -> bool {
                 if !notice.text.is_empty() {
                     ui.label(&notice.text);
                 }
+                if let Some(folder) = &notice.folder {
+                    ui.label(folder.display().to_string());
+                    let open = ui.button("Open folder");
+                    if open
+                        .on_hover_text("Show it in the system's file manager")
+                        .clicked()
+                    {
+                        let url = url_of(folder);
+                        ui.ctx().open_url(egui::OpenUrl::new_tab(url));
+                    }
+                }
             });
             let name = format!("Close message {}", notice.title);
             close = theme::close_button(ui, &name, "Close this message").clicked();
         });
     });
     close
+}
+
+/// A folder as file managers and browsers are told of it.
+fn url_of(folder: &Path) -> String {
+    let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
+    let path = absolute.to_string_lossy().replace('\\', "/");
+    let mut url = "file://".to_owned();
+    if !path.starts_with('/') {
+        url.push('/');
+    }
+    for byte in path.bytes() {
+        if byte.is_ascii_alphanumeric() || b"/:-_.~".contains(&byte) {
+            url.push(char::from(byte));
+        } else {
+            // Writing into a string can't fail.
+            let _ = write!(url, "%{byte:02X}");
+        }
+    }
+    url
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_become_addresses() {
+        let url = url_of(Path::new("/work/a picture/50 % größer"));
+        assert_eq!(url, "file:///work/a%20picture/50%20%25%20gr%C3%B6%C3%9Fer");
+    }
 }

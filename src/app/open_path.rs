@@ -53,6 +53,10 @@ impl OpenPath {
                     Purpose::OpenFile => ("Open a project", "A project file or a transforms.json"),
                     Purpose::SaveProject => ("Save the project", "File to write"),
                     Purpose::ExportFolder => ("Export", "Folder to write to"),
+                    Purpose::Photographs => (
+                        "Locate the photographs",
+                        "Folder of the capture, or its transforms.json",
+                    ),
                     Purpose::SaveMesh => ("Save the mesh", "OBJ file to write"),
                     Purpose::LightProbe => ("Open a light probe", "A lat-long .hdr or .exr"),
                 };

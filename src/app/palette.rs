@@ -13,6 +13,9 @@ pub struct CommandPalette {
     fresh: bool,
 }
 
+/// A command, and why it can't be given now, if it can't.
+type Found = (&'static Entry, Option<&'static str>);
+
 /// What came of a frame of the palette.
 pub enum Chosen {
     /// It stays open.
@@ -32,12 +35,16 @@ impl CommandPalette {
         }
     }
 
-    /// Shows it; `enabled` says which commands can be given now.
-    pub fn show(&mut self, ctx: &egui::Context, enabled: impl Fn(Action) -> bool) -> Chosen {
-        let found: Vec<&Entry> = ENTRIES
-            .iter()
-            .filter(|e| e.action != Action::Palette && enabled(e.action) && matches(e, &self.query))
-            .collect();
+    /// Shows it; `obstacle` says why a command can't be given now. Those that can come first.
+    pub fn show(
+        &mut self,
+        ctx: &egui::Context,
+        obstacle: impl Fn(Action) -> Option<&'static str>,
+    ) -> Chosen {
+        let found = ENTRIES.iter().filter(|e| e.action != Action::Palette);
+        let found = found.filter(|e| matches(e, &self.query));
+        let mut found: Vec<Found> = found.map(|e| (e, obstacle(e.action))).collect();
+        found.sort_by_key(|(_, why_not)| why_not.is_some());
         let moved = ctx.input_mut(|i| {
             i64::from(i.consume_key(egui::Modifiers::NONE, Key::ArrowDown))
                 - i64::from(i.consume_key(egui::Modifiers::NONE, Key::ArrowUp))
@@ -45,9 +52,8 @@ impl CommandPalette {
         let last = found.len().saturating_sub(1) as i64;
         self.selected = (self.selected as i64 + moved).clamp(0, last) as usize;
         let enter = ctx.input_mut(|i| i.consume_key(egui::Modifiers::NONE, Key::Enter));
-        let mut chosen = enter
-            .then(|| found.get(self.selected).map(|e| e.action))
-            .flatten();
+        let selected = found.get(self.selected).filter(|_| enter);
+        let mut chosen = selected.and_then(possible);
         let area = egui::Modal::default_area(Id::unique("palette"))
             .anchor(Align2::CENTER_TOP, vec2(0.0, 72.0));
         let modal = egui::Modal::new(Id::unique("palette"))
@@ -68,13 +74,13 @@ impl CommandPalette {
                 }
                 ui.add_space(4.0);
                 ScrollArea::vertical().max_height(360.0).show(ui, |ui| {
-                    for (i, entry) in found.iter().enumerate() {
-                        let row = row_ui(ui, entry, i == self.selected);
+                    for (i, one) in found.iter().enumerate() {
+                        let row = row_ui(ui, one, i == self.selected);
                         if moved != 0 && i == self.selected {
                             row.scroll_to_me(None);
                         }
                         if row.clicked() {
-                            chosen = Some(entry.action);
+                            chosen = possible(one);
                         }
                     }
                     if found.is_empty() {
@@ -90,12 +96,21 @@ impl CommandPalette {
     }
 }
 
-fn row_ui(ui: &mut egui::Ui, entry: &Entry, selected: bool) -> egui::Response {
+/// The command, if it can be given.
+fn possible((entry, why_not): &Found) -> Option<Action> {
+    why_not.is_none().then_some(entry.action)
+}
+
+/// A command's name and keys; where it can't be given, the reason in their place.
+fn row_ui(ui: &mut egui::Ui, (entry, why_not): &Found, selected: bool) -> egui::Response {
     let keys = entry.keys_text(ui.ctx()).unwrap_or_default();
+    let aside = why_not.map_or(keys, str::to_owned);
     let button = egui::Button::selectable(selected, entry.name)
-        .shortcut_text(keys)
+        .shortcut_text(aside)
         .min_size(vec2(ui.available_width(), 0.0));
-    ui.add(button).on_hover_text(entry.tip)
+    ui.add_enabled(why_not.is_none(), button)
+        .on_hover_text(entry.tip)
+        .on_disabled_hover_text(entry.tip)
 }
 
 /// Whether every word of the query is in the command's name, menu or description.

@@ -222,7 +222,7 @@ impl Projects {
                     "{name} has changes that are not saved. Opening something else loses them."
                 ),
                 Then::Solve => format!(
-                    "{name} has changes that are not saved. A new estimate replaces its lamps."
+                    "{name} has changes that are not saved. A new estimate replaces its lights."
                 ),
             });
                     ui.add_space(theme::GAP);

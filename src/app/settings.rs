@@ -6,6 +6,7 @@ use eframe::egui;
 use serde::{Deserialize, Serialize};
 
 use super::navigation::Habit;
+use super::relight::Question;
 use rekindle_estimate::estimate::{EstimateParams, Method, SpecularChoice};
 use rekindle_scene::reflectance::SpecularModel;
 use rekindle_solution::SolveOptions;
@@ -29,6 +30,10 @@ pub struct Settings {
     pub hemisphere: HemisphereExposure,
     /// Whether the mesh's outline lies over the photographs.
     pub outline: bool,
+    /// Whether the result card is open.
+    pub result: bool,
+    /// What was exported last and how.
+    pub export: Question,
 }
 
 /// How to estimate.
@@ -68,6 +73,8 @@ impl Default for Settings {
             estimation: Estimation::default(),
             hemisphere: HemisphereExposure::default(),
             outline: true,
+            result: false,
+            export: Question::default(),
         }
     }
 }

@@ -277,10 +277,10 @@ pub fn close_button(ui: &mut egui::Ui, name: &str, tip: &str) -> egui::Response 
 }
 
 /// A heading over a group of widgets.
-pub fn group(ui: &mut egui::Ui, text: &str) {
+pub fn group(ui: &mut egui::Ui, text: &str) -> egui::Response {
     ui.label(
         egui::RichText::new(text)
             .strong()
             .color(ui.visuals().widgets.inactive.fg_stroke.color),
-    );
+    )
 }

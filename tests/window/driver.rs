@@ -28,8 +28,13 @@ pub const ON_MESH: [[f32; 2]; 3] = [[0.5, 0.5], [0.35, 0.52], [0.62, 0.42]];
 pub type Window = Harness<'static, App>;
 
 pub fn window(open: Option<Source>) -> Window {
+    window_of([1280.0, 800.0], open)
+}
+
+/// A window of a size in points.
+pub fn window_of(size: [f32; 2], open: Option<Source>) -> Window {
     Harness::builder()
-        .with_size(egui::vec2(1280.0, 800.0))
+        .with_size(egui::vec2(size[0], size[1]))
         .build_eframe(|cc| {
             let start = Start {
                 open,
@@ -138,7 +143,9 @@ pub fn click(window: &mut Window, label: &str) {
 }
 
 pub fn coarse(window: &mut Window) {
-    window.get_by_label("Frequency").set_value_accesskit(24.0);
+    window
+        .get_by_role_and_label(egui::Role::SpinButton, "Light resolution")
+        .set_value_accesskit(24.0);
     window.step();
     window.step();
 }

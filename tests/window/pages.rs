@@ -5,7 +5,7 @@ use crate::driver::{
     point_on_mesh, wait, wait_for, wait_for_iteration, wait_for_part, window,
 };
 use eframe::egui;
-use egui_kittest::kittest::Queryable as _;
+use egui_kittest::kittest::{NodeT as _, Queryable as _};
 use rekindle::worker::Source;
 use rekindle_capture::Capture;
 
@@ -31,7 +31,7 @@ fn the_demo_is_opened_estimated_paused_and_relit() {
     wait_for_part(&mut window, "Paused while");
     click(&mut window, "Resume");
     wait_for(&mut window, "Viewport");
-    wait_for(&mut window, "Lamps");
+    wait_for(&mut window, "Lights");
     assert!(has_part(&window, "Light 1"), "a lamp was found");
     // Back to any iteration, and two beside each other.
     click(&mut window, "Estimation");
@@ -40,11 +40,33 @@ fn the_demo_is_opened_estimated_paused_and_relit() {
         has_part(&window, "Compared Iteration 1,"),
         "the first beside the last"
     );
+    // The curves name the stages, and a click on one goes to the iteration there.
+    assert!(has_part(&window, "Splitting lit cells"));
+    assert!(has(&window, "Roughness σ, rad") && has(&window, "Profile of σ, rad"));
+    click_at(
+        &mut window,
+        "Curve of Residual, radiance",
+        egui::vec2(0.2, 0.5),
+    );
+    assert!(has_part(&window, "Iteration 1,"), "the first is looked at");
+    // The result stays on both pages, and goes to where photograph and rendering differ.
+    click(&mut window, "Result: Good");
+    assert!(has(&window, "None: all are taken as stated."));
+    let view = window.get_by_label_contains("Difference at view 2, ");
+    view.click();
+    window.step();
+    window.step();
+    assert!(has(&window, "Lit hemisphere"), "on the page of relighting");
+    let kind = window.get_by_label("Difference");
+    let chosen = kind.accesskit_node().toggled();
+    assert_eq!(chosen, Some(egui::accesskit::Toggled::True));
+    click(&mut window, "Close the result");
+    click(&mut window, "Estimation");
     // Again with other settings, without reading again, ended early.
     click(&mut window, "Estimate again");
     wait_for_iteration(&mut window, 1);
     click(&mut window, "Stop and keep best");
-    wait_for(&mut window, "Lamps");
+    wait_for(&mut window, "Lights");
     window.run_ok();
     window.check_accessibility();
 }
@@ -90,7 +112,7 @@ fn a_solve_is_stopped_in_every_stage_and_the_window_closed_in_one() {
         stop.expect("a button that stops").click();
         window.step();
         wait_for(&mut window, "Estimate again");
-        assert!(!has(&window, "Lamps"), "nothing is kept of {stage}");
+        assert!(!has(&window, "Lights"), "nothing is kept of {stage}");
     }
     // A key pressed by chance ends the estimation with what it has reached.
     window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Enter);
@@ -98,7 +120,7 @@ fn a_solve_is_stopped_in_every_stage_and_the_window_closed_in_one() {
     wait_for_iteration(&mut window, 1);
     window.key_press(egui::Key::Escape);
     window.step();
-    wait_for(&mut window, "Lamps");
+    wait_for(&mut window, "Lights");
     window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Enter);
     window.step();
     wait_for_iteration(&mut window, 1);

@@ -16,6 +16,8 @@ use super::lamp::{Baseline, LampId};
 use super::look::{LitLook, Look, Probe, ProbeLight};
 use rekindle_solution::Solution;
 
+/// What looks that nobody has named yet are called, with a number.
+const SETUP: &str = "Setup";
 /// Steps that can be undone.
 const MAX_STEPS: usize = 500;
 
@@ -53,6 +55,8 @@ pub struct Document {
     pub(super) source: Option<PathBuf>,
     /// The project file, once there is one.
     pub(super) project: Option<PathBuf>,
+    /// The capture that it was estimated from, where that is known.
+    pub capture: Option<PathBuf>,
     probes: BTreeMap<PathBuf, Arc<ProbeLight>>,
     /// Camera and whatever else of the view is to be kept; not undone, no change worth a question.
     pub view: Value,
@@ -111,9 +115,39 @@ impl State {
     pub fn add_look(&mut self, base: &Baseline) {
         let mut look = Look::of_capture(base, self.next_lamp);
         self.next_lamp = self.next_lamp.saturating_add(base.lamps.len() as u32);
-        look.name = free_name("Look", self.looks.iter().map(|l| l.name.as_str()));
+        look.captured = false;
+        look.name = free_name(SETUP, self.looks.iter().map(|l| l.name.as_str()));
+        self.push_look(look);
+    }
+
+    /// Puts a look at the end and shows it; a number is added to its name where another has that.
+    pub(super) fn push_look(&mut self, mut look: Look) {
+        look.name = numbered_name(&look.name, self.looks.iter().map(|l| l.name.as_str()));
         self.looks.push(look);
         self.active = self.looks.len() - 1;
+    }
+
+    /// Index of the look that holds the captured light.
+    pub fn captured(&self) -> Option<usize> {
+        self.looks.iter().position(|look| look.captured)
+    }
+
+    /// Keeps the captured light as it was `before`: what was made of it becomes a look of its own.
+    fn protect_captured(&mut self, before: &Self) {
+        let Some(at) = self.captured() else { return };
+        let Some(kept) = before.captured().map(|at| &before.looks[at]) else {
+            return;
+        };
+        if self.looks[at] == *kept {
+            return;
+        }
+        let mut changed = std::mem::replace(&mut self.looks[at], kept.clone());
+        changed.captured = false;
+        changed.name = free_name(SETUP, self.looks.iter().map(|l| l.name.as_str()));
+        self.looks.push(changed);
+        if self.active == at {
+            self.active = self.looks.len() - 1;
+        }
     }
 
     /// Puts a copy of a look after it and shows it. Its lamps keep their numbers: they are the same lamps, otherwise set.
@@ -122,14 +156,16 @@ impl State {
             return;
         };
         let mut copy = look.clone();
+        copy.captured = false;
         copy.name = copy_name(&copy.name, self.looks.iter().map(|l| l.name.as_str()));
         self.looks.insert(index + 1, copy);
         self.active = index + 1;
     }
 
-    /// Removes a look. The last one stays.
+    /// Removes a look. The captured light stays, and so does the last one.
     pub fn delete_look(&mut self, index: usize) {
-        if self.looks.len() > 1 && index < self.looks.len() {
+        let goes = self.looks.get(index).is_some_and(|look| !look.captured);
+        if goes && self.looks.len() > 1 {
             self.looks.remove(index);
             if self.active > index || self.active == self.looks.len() {
                 self.active -= 1;
@@ -140,10 +176,10 @@ impl State {
     /// Whether everything in it makes sense for a solution's light, with numbers held in their bounds.
     pub(super) fn checked(mut self, base: &Baseline) -> Result<Self, String> {
         if self.active >= self.looks.len() {
-            return Err("the look that is shown is not among its looks".to_owned());
+            return Err("the setup that is shown is not among its setups".to_owned());
         }
         for look in &mut self.looks {
-            let named = |what: &str| format!("look \"{}\" {what}", look.name);
+            let named = |what: &str| format!("setup \"{}\" {what}", look.name);
             if !(look.ambient.is_finite() && look.ambient >= 0.0) {
                 return Err(named("has an ambient part that is negative or not finite"));
             }
@@ -182,7 +218,26 @@ impl State {
                 look.solo = None;
             }
         }
+        self.ensure_captured(base);
         Ok(self)
+    }
+
+    /// Makes sure that one look, and only one, holds the captured light as it is; projects of before it was kept so may have
+    /// none, or have changed it.
+    fn ensure_captured(&mut self, base: &Baseline) {
+        let unchanged = |look: &Look| look.is_as_captured(base);
+        let looks = self.looks.iter();
+        let marked = looks.clone().position(|l| l.captured && unchanged(l));
+        let at = marked.or_else(|| looks.clone().position(unchanged));
+        let at = at.unwrap_or_else(|| {
+            self.looks.insert(0, Look::of_capture(base, 0));
+            self.active += 1;
+            self.next_lamp = self.next_lamp.max(base.lamps.len() as u32);
+            0
+        });
+        for (i, look) in self.looks.iter_mut().enumerate() {
+            look.captured = i == at;
+        }
     }
 }
 
@@ -202,6 +257,7 @@ impl Document {
             gesture: None,
             source: folder,
             project: None,
+            capture: None,
             probes: BTreeMap::new(),
             view: Value::Null,
             revision: 0,
@@ -315,14 +371,25 @@ impl Document {
         }
     }
 
-    /// Changes the state within a drag.
+    /// Changes the state within a drag. The captured light stays as it is: the first change of it begins a look of its own.
     pub fn update<T>(&mut self, change: impl FnOnce(&mut State, &Baseline) -> T) -> T {
         let mut state = State::clone(&self.state);
         let result = change(&mut state, &self.base);
+        state.protect_captured(&self.state);
         if state != *self.state {
             self.put(Arc::new(state));
         }
         result
+    }
+
+    /// Shows another look, which is no step of the history.
+    pub fn show(&mut self, index: usize) {
+        self.commit();
+        self.update(|state, _| {
+            if index < state.looks.len() {
+                state.active = index;
+            }
+        });
     }
 
     /// Whether a drag is under way.
@@ -397,6 +464,17 @@ fn free_name<'a>(kind: &str, taken: impl Iterator<Item = &'a str>) -> String {
         .map(|i| format!("{kind} {i}"))
         .find(|name| !taken.contains(&name.as_str()))
         .unwrap_or_else(|| kind.to_owned())
+}
+
+/// The first of "name", "name 2" … that is not taken.
+fn numbered_name<'a>(name: &str, taken: impl Iterator<Item = &'a str>) -> String {
+    let taken: Vec<&str> = taken.collect();
+    let numbered = (2..=taken.len() + 1).map(|i| format!("{name} {i}"));
+    // Among one more than are taken one is free.
+    std::iter::once(name.to_owned())
+        .chain(numbered)
+        .find(|name| !taken.contains(&name.as_str()))
+        .unwrap_or_else(|| name.to_owned())
 }
 
 /// The first of "name copy", "name copy 2" … that is not taken.

@@ -21,6 +21,7 @@ mod lamp;
 mod look;
 mod pointing;
 mod project;
+mod ready;
 mod recovery;
 
 pub mod fixtures;
@@ -34,6 +35,7 @@ pub use lamp::{
 pub use look::{LitLook, Look, Probe, ProbeLight};
 pub use pointing::{HighlightShare, Place, highlight_shares, place};
 pub use project::{EXTENSION, ProjectError, Saved, Snapshot};
+pub use ready::ReadySetup;
 pub use recovery::{Recoverable, Recovery, state_folder};
 
 /// Vectors in files, as lists of three numbers.

@@ -47,6 +47,9 @@ pub struct ProbeLight {
 pub struct Look {
     /// What people call it.
     pub name: String,
+    /// Whether it is the captured light, which is kept as it is.
+    #[serde(default)]
+    pub captured: bool,
     /// In the order of the list.
     pub lamps: Vec<Lamp>,
     /// The only lamp that shines, if one is chosen so: all others, light that belongs to no lamp and the probe rest.
@@ -121,12 +124,29 @@ impl Look {
             .collect();
         Self {
             name: "Captured light".to_owned(),
+            captured: true,
             lamps,
             solo: None,
             remainder: true,
             ambient: 1.0,
             probe: None,
         }
+    }
+
+    /// Whether it is the captured lighting, unchanged.
+    pub(super) fn is_as_captured(&self, base: &Baseline) -> bool {
+        let captured = Self::of_capture(base, 0);
+        let same = |(a, b): (&Lamp, &Lamp)| {
+            *b == Lamp {
+                id: b.id,
+                ..a.clone()
+            }
+        };
+        self.lamps.len() == captured.lamps.len()
+            && self.lamps.iter().zip(&captured.lamps).all(same)
+            && (self.solo, self.remainder, self.ambient)
+                == (captured.solo, captured.remainder, captured.ambient)
+            && self.probe.is_none()
     }
 
     /// The lamp of this id.

@@ -118,6 +118,9 @@ struct File {
     format: String,
     version: u32,
     solution: Reference,
+    /// The capture, for its photographs; nothing needs it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    capture: Option<Reference>,
     /// Light probes that looks name by their absolute paths.
     #[serde(default)]
     probes: Vec<Reference>,
@@ -179,6 +182,7 @@ pub struct Snapshot {
     solution: Arc<Solution>,
     source: Option<PathBuf>,
     project: Option<PathBuf>,
+    capture: Option<PathBuf>,
     view: Value,
 }
 
@@ -263,6 +267,7 @@ impl Snapshot {
             format: FORMAT.to_owned(),
             version: VERSION,
             solution: Reference::new(folder, source),
+            capture: (self.capture.as_deref()).map(|capture| Reference::new(folder, capture)),
             probes,
             state,
             view: self.view.clone(),
@@ -318,6 +323,7 @@ impl Document {
             solution: Arc::clone(&self.solution),
             source: self.source.clone(),
             project: self.project.clone(),
+            capture: self.capture.clone(),
             view: self.view.clone(),
         }
     }
@@ -379,11 +385,12 @@ fn read(path: &Path) -> Result<(File, Document, Vec<String>), ProjectError> {
             what,
         })?;
     let mut document = Document::new(solution, Some(absolute(&source)));
+    document.capture = file.capture.as_ref().and_then(|c| c.find(folder));
     let mut warnings = Vec::new();
     for reference in &file.probes {
         let Some(found) = reference.find(folder) else {
             warnings.push(format!(
-                "{}: the light probe is missing, looks that use it are darker; put it back or choose another",
+                "{}: the light probe is missing, setups that use it are darker; put it back or choose another",
                 reference.absolute.display()
             ));
             continue;

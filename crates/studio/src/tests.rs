@@ -221,7 +221,7 @@ fn everything_can_be_undone_and_a_drag_is_one_step() {
     });
     states.push(document.state().clone());
     // What changes nothing is no step.
-    document.edit("Nothing", |s, _| s.active = 1);
+    document.edit("Nothing", |s, _| s.active = 2);
     assert_eq!(document.undo_label(), Some("Add a lamp"));
     for state in states.iter().rev().skip(1) {
         assert!(document.undo().is_some());
@@ -254,21 +254,77 @@ fn looks_are_kept_apart() {
     assert!(document.light().lighting.lamps[0].muted);
     document.edit("Switch", |s, _| s.active = 0);
     assert!(!document.light().lighting.lamps[0].muted);
-    document.edit("Delete", |s, _| s.delete_look(0));
+    document.edit("Delete the captured light", |s, _| s.delete_look(0));
+    assert_eq!(document.state().looks.len(), 2);
+    document.edit("Delete", |s, _| s.delete_look(1));
     assert_eq!(
         (document.state().looks.len(), document.state().active),
         (1, 0)
     );
-    document.edit("Delete the last", |s, _| s.delete_look(0));
-    assert_eq!(document.state().looks.len(), 1);
     document.edit("Add", State::add_look);
-    let names: Vec<_> = document
-        .state()
-        .looks
-        .iter()
-        .map(|l| l.name.clone())
-        .collect();
-    assert_eq!(names, ["Captured light copy", "Look 1"]);
+    assert_eq!(names(&document), ["Captured light", "Setup 1"]);
+}
+
+fn names(document: &Document) -> Vec<&str> {
+    let looks = &document.state().looks;
+    looks.iter().map(|l| l.name.as_str()).collect()
+}
+
+#[test]
+fn the_first_edit_of_the_captured_light_begins_a_setup() {
+    let mut document = document();
+    document.begin("Move Light 1");
+    for k in 1..4 {
+        document.update(|s, _| {
+            let lamp = s.look_mut().lamp_mut(LampId(0)).unwrap();
+            lamp.direction = Quat::from_rotation_y(0.1 * k as f32) * Vec3::X;
+        });
+    }
+    document.commit();
+    assert_eq!(names(&document), ["Captured light", "Setup 1"]);
+    let captured = &document.state().looks[0];
+    assert_eq!(
+        document.light_of(captured).lighting,
+        document.solution.lighting()
+    );
+    assert_ne!(document.light().lighting, document.solution.lighting());
+    // To and fro is no step, and what comes next goes into the same setup.
+    document.show(0);
+    assert_eq!(document.light().lighting, document.solution.lighting());
+    document.show(1);
+    assert_eq!(document.undo_label(), Some("Move Light 1"));
+    document.edit("Mute", |s, _| s.look_mut().lamps[1].muted = true);
+    assert_eq!(names(&document).len(), 2);
+    document.show(0);
+    document.edit("Dim", |s, _| s.look_mut().ambient = 0.5);
+    assert_eq!(names(&document), ["Captured light", "Setup 1", "Setup 2"]);
+    for _ in 0..3 {
+        document.undo();
+    }
+    assert_eq!(names(&document), ["Captured light"]);
+    assert!(!document.is_modified());
+}
+
+#[test]
+fn projects_of_before_the_captured_light_was_kept_get_it_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut document = edited(folder.path());
+    let path = folder.path().join("old.rekindle");
+    document.save(&path).unwrap();
+    let text = fs::read(&path).unwrap();
+    let mut file: serde_json::Value = serde_json::from_slice(&text).unwrap();
+    let looks = file["looks"].as_array_mut().unwrap();
+    looks.remove(0);
+    for look in looks.iter_mut() {
+        look.as_object_mut().unwrap().remove("captured");
+    }
+    file["active"] = 0.into();
+    fs::write(&path, file.to_string()).unwrap();
+    let (again, _) = Document::open(&path).unwrap();
+    assert_eq!(again.light().lighting, document.light().lighting);
+    assert_eq!(again.state().captured(), Some(0));
+    let captured = &again.state().looks[0];
+    assert_eq!(again.light_of(captured).lighting, again.solution.lighting());
 }
 
 /// A document of a saved solution with something of everything in it.
@@ -293,6 +349,9 @@ fn edited(folder: &Path) -> Document {
         });
     });
     document.view = serde_json::json!({ "exposure": 1.5 });
+    let capture = folder.join("scans/capture");
+    fs::create_dir(&capture).unwrap();
+    document.capture = Some(capture);
     document
 }
 
@@ -317,6 +376,8 @@ fn a_project_comes_back_as_it_was_and_can_be_moved() {
     let (moved, warnings) = Document::open(&folder.path().join("moved/evening.rekindle")).unwrap();
     assert!(warnings.is_empty(), "{warnings:?}");
     assert_eq!(moved.light().lighting, document.light().lighting);
+    let capture = moved.capture.expect("it was moved along");
+    assert!(capture.is_dir() && capture.ends_with("capture"));
 
     // Without its probe it opens, and says so; without its solution it can't.
     fs::remove_file(folder.path().join("moved/probe.exr")).unwrap();
@@ -360,7 +421,7 @@ fn bad_projects_are_refused_with_a_reason() {
     for (from, to, part) in [
         ("rekindle-project", "something-else", "something-else"),
         ("\"version\": 1", "\"version\": 2", "newer"),
-        ("\"active\": 1", "\"active\": 7", "look"),
+        ("\"active\": 1", "\"active\": 7", "setup"),
         (
             "\"estimated\": 2",
             "\"estimated\": 9",

@@ -3,6 +3,7 @@
 use eframe::egui::{self, Color32};
 use glam::Vec3;
 
+use rekindle_relight::luminance;
 use rekindle_scene::hemisphere::srgb;
 use rekindle_studio::{Baseline, Document, Lamp, LampId, Look, Place, State};
 
@@ -19,6 +20,14 @@ pub(super) struct Editing {
     pub(super) renaming: Option<(LampId, String)>,
     /// A look whose name is being typed, with the text.
     pub(super) renaming_look: Option<(usize, String)>,
+    /// The lamp that the list is to scroll to.
+    pub(super) scroll_to: Option<LampId>,
+    /// Whether the pinned settings are those of the surroundings, not of the selected lamp.
+    pub(super) surroundings: bool,
+    /// Luminance of all light of the look, with the revision of the document that it is of.
+    total: Option<(u64, f32)>,
+    /// The look that was shown before the captured light, to compare with.
+    pub(super) compared_look: Option<usize>,
     /// What pressing on the object does with the selected lamp.
     pub(super) place: Placing,
 }
@@ -42,6 +51,23 @@ impl Editing {
     /// Selects a lamp, or none.
     pub(super) fn select(&mut self, id: Option<LampId>) {
         self.selected = id;
+        self.scroll_to = id;
+        if id.is_some() {
+            self.surroundings = false;
+        }
+    }
+
+    /// Luminance of all light of the look that is shown.
+    pub(super) fn total_light(&mut self, document: &Document) -> f32 {
+        let revision = document.revision();
+        match self.total {
+            Some((of, total)) if of == revision => total,
+            _ => {
+                let total = luminance(document.light().lighting.flux());
+                self.total = Some((revision, total));
+                total
+            }
+        }
     }
 
     /// Whether a lamp is the selected one.

@@ -1,9 +1,11 @@
 //! The question what to export, and the progress of an export.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use eframe::egui;
+use serde::{Deserialize, Serialize};
 
 use super::handles::Seen;
 use crate::app::theme;
@@ -18,7 +20,7 @@ use rekindle_solution::Solution;
 use rekindle_studio::{Document, LampId};
 
 /// From where pictures are taken.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 enum Subject {
     View,
     Cameras,
@@ -26,12 +28,18 @@ enum Subject {
     Lamp,
 }
 
-/// The question while it is open.
+/// What is exported and how; remembered for the next time.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default)]
 #[expect(
     clippy::struct_excessive_bools,
     reason = "one for each box that can be ticked"
 )]
-pub(super) struct Question {
+pub struct Question {
+    /// Where the files go.
+    pub folder: Option<PathBuf>,
+    /// Seconds that a million pixels took the last time.
+    pub seconds_per_megapixel: Option<f64>,
     subject: Subject,
     size: [u32; 2],
     /// Cameras keep their own size.
@@ -45,6 +53,12 @@ pub(super) struct Question {
     frames_per_second: u16,
     transparent: bool,
     edits: bool,
+    /// The files' name, where it was typed.
+    #[serde(skip)]
+    name: Option<String>,
+    /// Files that are there already, while it is asked what to do about them.
+    #[serde(skip)]
+    there_already: usize,
 }
 
 /// What the picture on the screen is like.
@@ -53,6 +67,8 @@ pub(super) struct Screen<'a> {
     pub(super) seen: &'a Seen,
     /// Names and cameras of the input views.
     pub(super) cameras: &'a [(String, Camera)],
+    /// Index of the one that is looked through.
+    pub(super) at: Option<usize>,
     /// How radiance is shown.
     pub(super) transform: ViewTransform,
     /// Factor of radiance before the view transform.
@@ -69,12 +85,27 @@ pub(super) enum Answer {
     /// It is to be closed.
     Closed,
     /// A folder is to be chosen.
-    Export,
+    ChooseFolder,
+    /// The files are to be made.
+    Export(Others),
+}
+
+/// What becomes of files that are there already.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::app) enum Others {
+    /// It is asked, if there are any.
+    Asked,
+    /// They are replaced.
+    Replaced,
+    /// They stay, and new ones get a number.
+    Kept,
 }
 
 impl Default for Question {
     fn default() -> Self {
         Self {
+            folder: None,
+            seconds_per_megapixel: None,
             subject: Subject::View,
             size: [1920, 1080],
             own_size: true,
@@ -87,49 +118,103 @@ impl Default for Question {
             frames_per_second: 24,
             transparent: false,
             edits: false,
+            name: None,
+            there_already: 0,
         }
     }
 }
 
 impl Question {
-    /// Shows the question. `lamp` is the name of the selected lamp.
+    /// Shows the question; `job` is what it comes to in a folder, and `lamp` the name of the selected lamp.
     pub(super) fn show(
         &mut self,
         ctx: &egui::Context,
         cameras: usize,
         lamp: Option<&str>,
+        automatic: &str,
+        job: impl Fn(&Self, &Path) -> Option<Job>,
     ) -> Answer {
         let mut answer = Answer::Nothing;
         let modal = egui::Modal::new(egui::Id::unique("export"))
             .frame(theme::dialog(ctx))
             .show(ctx, |ui| {
                 ui.set_width(460.0);
-                ui.heading("Export");
+                ui.heading("Export pictures");
                 ui.label(
-                    "Pictures by the reference renderer, in the light of the look that is shown.",
+                    "Pictures by the reference renderer, in the light of the setup that is shown.",
                 );
                 ui.add_space(theme::GAP * 0.5);
-                egui::Grid::new("export settings")
-                    .num_columns(2)
-                    .spacing([16.0, 8.0])
+                let height = ui.ctx().content_rect().height() - 230.0;
+                egui::ScrollArea::vertical()
+                    .max_height(height)
                     .show(ui, |ui| {
-                        self.subject_ui(ui, cameras, lamp);
-                        self.size_ui(ui);
-                        self.files_ui(ui);
+                        egui::Grid::new("export settings")
+                            .num_columns(2)
+                            .spacing([16.0, 8.0])
+                            .show(ui, |ui| {
+                                self.subject_ui(ui, cameras, lamp);
+                                self.size_ui(ui);
+                                self.files_ui(ui);
+                                self.name_ui(ui, automatic);
+                                if folder_ui(ui, self.folder.as_deref()) {
+                                    answer = Answer::ChooseFolder;
+                                }
+                            });
                     });
                 ui.add_space(theme::GAP * 0.5);
-                answer = buttons(ui, self.problem());
+                let folder = self.folder.clone().unwrap_or_default();
+                if let Some(job) = job(self, &folder) {
+                    ui.weak(self.cost(&job));
+                }
+                ui.add_space(theme::GAP * 0.5);
+                let given = if self.there_already > 0 {
+                    others_ui(ui, self.there_already)
+                } else {
+                    buttons(ui, self.problem())
+                };
+                if given != Answer::Nothing {
+                    answer = given;
+                }
             });
         if modal.should_close() && answer == Answer::Nothing {
             answer = Answer::Closed;
         }
+        if answer != Answer::Nothing {
+            self.there_already = 0;
+        }
+        if answer == Answer::Export(Others::Asked)
+            && let Some(folder) = &self.folder
+        {
+            let there = job(self, folder).map_or(0, |job| job.there_already());
+            if there > 0 {
+                self.there_already = there;
+                answer = Answer::Nothing;
+            }
+        }
         answer
+    }
+
+    /// How many pictures there will be, how large, and how long it takes, as far as that is known.
+    fn cost(&self, job: &Job) -> String {
+        let count = match job.shots.len() {
+            1 => "One picture".to_owned(),
+            n => format!("{n} pictures"),
+        };
+        let bytes = size_in_words(job.most_bytes());
+        let megapixels = megapixels(job);
+        let time = self.seconds_per_megapixel.map_or_else(
+            || "how long they take is known after the first export".to_owned(),
+            |seconds| format!("about {}", duration_in_words(seconds * megapixels)),
+        );
+        format!("{count}, {megapixels:.1} megapixels, at most {bytes}; {time}")
     }
 
     /// Why there is nothing to export.
     fn problem(&self) -> Option<&'static str> {
         let animated = self.is_moving() && self.animation;
-        if !(self.png || self.exr || animated) {
+        if self.folder.is_none() {
+            Some("Choose a folder first")
+        } else if !(self.png || self.exr || animated) {
             Some("Choose at least one kind of file")
         } else if animated && self.size.iter().any(|side| *side > MAX_ANIMATION_SIDE) {
             Some("Animations are at most 4096 × 4096")
@@ -163,11 +248,11 @@ impl Question {
             (
                 Subject::Lamp,
                 lamp.map_or_else(
-                    || "A turn of the selected lamp".to_owned(),
-                    |name| format!("A turn of {name}"),
+                    || "The selected light circling the object".to_owned(),
+                    |name| format!("{name} circling the object"),
                 ),
                 lamp.is_some(),
-                "Select a lamp first",
+                "Select a light first",
             ),
         ];
         for (i, (subject, name, possible, why_not)) in choices.into_iter().enumerate() {
@@ -254,7 +339,7 @@ impl Question {
             ui.checkbox(&mut self.exr, "EXR")
                 .on_hover_text("Linear radiance, 32-bit float, premultiplied alpha");
             ui.add_enabled(self.exr, egui::Checkbox::new(&mut self.layers, "Layers"))
-                .on_hover_text("Diffuse, specular, albedo, irradiance, normal, position, depth and the light of each lamp beside the picture");
+                .on_hover_text("Diffuse, specular, albedo, irradiance, normal, position, depth and the light of each light beside the picture");
         });
         ui.end_row();
         if self.is_moving() {
@@ -264,7 +349,7 @@ impl Question {
             ui.end_row();
         }
         ui.label("");
-        ui.checkbox(&mut self.edits, "Edits for the command line")
+        ui.checkbox(&mut self.edits, "Light edits (edits.json)")
             .on_hover_text("A JSON file with which rekindle render --edits gives this light");
         ui.end_row();
         ui.label("Background");
@@ -273,6 +358,31 @@ impl Question {
         ui.add_enabled(shown, transparent)
             .on_hover_text("Without it, PNG files have the background of the viewport");
         ui.end_row();
+    }
+
+    fn name_ui(&mut self, ui: &mut egui::Ui, automatic: &str) {
+        let label = ui.label("Name");
+        let mut text = self.name.clone().unwrap_or_else(|| automatic.to_owned());
+        let field = egui::TextEdit::singleline(&mut text).desired_width(300.0);
+        let field = ui.add(field).labelled_by(label.id);
+        let tip = "Of the files; frames and cameras get numbers. By itself it is that of project, setup and view";
+        if field.on_hover_text(tip).changed() {
+            self.name = Some(text).filter(|text| !text.trim().is_empty());
+        }
+        ui.end_row();
+    }
+
+    /// The name of the files where none was typed: project, setup and view.
+    pub(super) fn automatic_name(&self, document: &Document, at: Option<usize>) -> String {
+        let name = format!("{} {}", document.name(), document.look().name);
+        let at = at.filter(|_| self.subject == Subject::View);
+        let name = at.map_or(name.clone(), |at| format!("{name} camera {}", at + 1));
+        file_name(&name)
+    }
+
+    /// Forgets a name that was typed, when another document is open.
+    pub(in crate::app) fn forget_name(&mut self) {
+        self.name = None;
     }
 
     /// What is to be made, in a folder.
@@ -285,7 +395,10 @@ impl Question {
     ) -> Job {
         let light = document.light();
         let lighting = Arc::new(light.lighting);
-        let name = file_name(&document.name());
+        let name = match &self.name {
+            Some(name) => file_name(name),
+            None => self.automatic_name(document, screen.at),
+        };
         let [width, height] = self.size;
         let view = with_size(&screen.seen.camera, width, height);
         let shot = |stem: String, camera: Camera| Shot {
@@ -346,7 +459,74 @@ impl Question {
             background: (!self.transparent).then_some(screen.background),
             folder: folder.to_owned(),
         }
-        .beside_others()
+    }
+}
+
+/// The folder that files go to; whether another is to be chosen.
+pub(super) fn folder_ui(ui: &mut egui::Ui, folder: Option<&Path>) -> bool {
+    ui.label("Folder");
+    let chosen = ui.horizontal(|ui| {
+        let choose = ui.button("Choose folder…");
+        let shown = folder.map(|f| f.display().to_string());
+        let shown = shown.unwrap_or_else(|| "None is chosen".to_owned());
+        let label = ui.add(egui::Label::new(egui::RichText::new(&shown).weak()).truncate());
+        label.on_hover_text(shown);
+        choose.on_hover_text("Choose where the files go").clicked()
+    });
+    ui.end_row();
+    chosen.inner
+}
+
+/// What to do about files that are there already.
+fn others_ui(ui: &mut egui::Ui, count: usize) -> Answer {
+    let mut answer = Answer::Nothing;
+    ui.label(match count {
+        1 => "A file of this name is in the folder already.".to_owned(),
+        n => format!("{n} files of these names are in the folder already."),
+    });
+    ui.horizontal(|ui| {
+        for (name, tip, others) in [
+            (
+                "Keep both",
+                "The new files get a number",
+                Some(Others::Kept),
+            ),
+            (
+                "Replace",
+                "The new files take their places; only files that this program wrote are replaced",
+                Some(Others::Replaced),
+            ),
+            ("Cancel", "Back to work", None),
+        ] {
+            if ui.button(name).on_hover_text(tip).clicked() {
+                answer = others.map_or(Answer::Closed, Answer::Export);
+            }
+        }
+    });
+    answer
+}
+
+/// Millions of pixels of a job.
+pub(super) fn megapixels(job: &Job) -> f64 {
+    let pixels = |shot: &Shot| f64::from(shot.camera.width) * f64::from(shot.camera.height);
+    job.shots.iter().map(pixels).sum::<f64>() / 1e6
+}
+
+fn size_in_words(bytes: u64) -> String {
+    let megabytes = bytes as f64 / 1e6;
+    if megabytes < 1000.0 {
+        format!("{:.0} MB", megabytes.ceil())
+    } else {
+        format!("{:.1} GB", megabytes / 1e3)
+    }
+}
+
+/// A time as people say it.
+pub(in crate::app) fn duration_in_words(seconds: f64) -> String {
+    match seconds {
+        s if s < 90.0 => format!("{:.0} s", s.ceil()),
+        s if s < 5400.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
     }
 }
 
@@ -354,15 +534,13 @@ impl Question {
 pub(super) fn buttons(ui: &mut egui::Ui, problem: Option<&str>) -> Answer {
     let mut answer = Answer::Nothing;
     ui.horizontal(|ui| {
-        let button = theme::main_button(ui, "Choose folder…");
-        let button = ui.add_enabled(problem.is_none(), button);
-        let tip = "Choose where the files go, then export; files that are there already stay, new ones get a number";
+        let button = ui.add_enabled(problem.is_none(), theme::main_button(ui, "Export"));
         if button
-            .on_hover_text(tip)
+            .on_hover_text("Make the files; it goes on beside other work and can be stopped")
             .on_disabled_hover_text(problem.unwrap_or_default())
             .clicked()
         {
-            answer = Answer::Export;
+            answer = Answer::Export(Others::Asked);
         }
         if ui.button("Cancel").on_hover_text("Back to work").clicked() {
             answer = Answer::Closed;
@@ -406,8 +584,8 @@ fn file_name(name: &str) -> String {
     }
 }
 
-/// The command that makes the pictures of a job.
-pub(super) fn command(solution: &Arc<Solution>, job: Job) -> Command {
+/// The command that makes the pictures of a job. `kept` hears how many files are there if it is stopped.
+pub(super) fn command(solution: &Arc<Solution>, job: Job, kept: Arc<AtomicUsize>) -> Command {
     let solution = Arc::clone(solution);
     Command::Task {
         what: "Exporting".to_owned(),
@@ -418,7 +596,11 @@ pub(super) fn command(solution: &Arc<Solution>, job: Job) -> Command {
                 let _ = tell(what, part);
             });
             match done {
-                Ok(_) | Err(ExportError::Stopped { .. }) => Ok(()),
+                Ok(_) => Ok(()),
+                Err(ExportError::Stopped { kept: files }) => {
+                    kept.store(files, Ordering::Relaxed);
+                    Ok(())
+                }
                 Err(error) => Err(error.into()),
             }
         }),

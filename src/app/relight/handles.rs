@@ -4,7 +4,7 @@ use eframe::egui::{self, Color32, Pos2, Rect, Sense, Stroke, Vec2, vec2};
 use glam::{DVec2, DVec3, Vec3};
 
 use super::editing::{Editing, hue, with_lamp};
-use super::hemisphere::{MarkStyle, draw_mark, grab};
+use super::hemisphere::{MarkStyle, draw_mark, grab, mark_radius};
 use rekindle_capture::Camera;
 use rekindle_studio::{Document, Lamp, LampId};
 
@@ -157,6 +157,7 @@ impl Handles {
             at,
             hue(document.base(), lamp),
             MarkStyle {
+                radius: mark_radius(document, lamp),
                 selected,
                 lit,
                 hollow: dark || behind,

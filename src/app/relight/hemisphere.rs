@@ -8,14 +8,16 @@ use glam::{Quat, Vec3};
 use super::editing::{Editing, hue, with_lamp};
 use crate::app::Shared;
 use crate::app::disc::{self, Disc, DiscTexture};
-use rekindle_relight::{LampNodes, LightNode, Lighting};
+use rekindle_relight::{LampNodes, LightNode, Lighting, luminance};
 use rekindle_scene::hemisphere::{FromAbove, HemisphereGrid, Picture, from_above_axes};
 use rekindle_studio::{Document, Lamp};
 
+/// Side of the square around a mark that takes the pointer, points.
+const GRIP: f32 = 18.0;
 /// Side of the picture in pixels.
 const SIDE: u32 = 192;
-/// Radius of a mark in points.
-const MARK: f32 = 6.0;
+/// Radius of the strongest light's mark in points, and of one without light.
+const MARKS: [f32; 2] = [8.0, 3.5];
 
 /// The picture of the light and what it was made of.
 #[derive(Default)]
@@ -36,10 +38,11 @@ impl LitDisc {
         FromAbove::new(grid, SIDE)
     }
 
-    /// Shows the disc as wide as there is room.
+    /// Shows the disc as wide as `side`.
     pub(super) fn show(
         &mut self,
         ui: &mut egui::Ui,
+        side: f32,
         document: &mut Document,
         editing: &mut Editing,
         shared: &mut Shared<'_>,
@@ -63,10 +66,6 @@ impl LitDisc {
             .picture
             .as_ref()
             .map(|(_, picture)| self.texture.of(ui.ctx(), picture, exposure));
-        // In a low window the list below needs the room.
-        let side = ui
-            .available_width()
-            .min(0.34 * ui.ctx().content_rect().height());
         let (response, disc) = ui
             .vertical_centered(|ui| {
                 let name = "Lit hemisphere";
@@ -108,7 +107,7 @@ fn mark(
     dark: bool,
 ) {
     let (at, above) = place(disc, lamp.direction);
-    let rect = egui::Rect::from_center_size(at, vec2(3.0 * MARK, 3.0 * MARK));
+    let rect = egui::Rect::from_center_size(at, egui::Vec2::splat(GRIP));
     let id = ui.scope_id().with(("mark", lamp.id));
     let response = ui.interact(rect, id, Sense::CLICK | Sense::DRAG);
     let name = format!("{} on the hemisphere", lamp.name);
@@ -129,6 +128,7 @@ fn mark(
         at,
         hue(document.base(), lamp),
         MarkStyle {
+            radius: mark_radius(document, lamp),
             selected,
             lit,
             hollow: dark || !above,
@@ -194,10 +194,21 @@ fn nudged(direction: Vec3, pole: Vec3, turn: f32, rise: f32) -> Vec3 {
     (height.cos() * flat + height.sin() * pole).normalize_or(direction)
 }
 
+/// Radius of a lamp's mark: its area grows with the lamp's flux, up to that of the look's strongest.
+pub(super) fn mark_radius(document: &Document, lamp: &Lamp) -> f32 {
+    let base = document.base();
+    let strength = |lamp: &Lamp| luminance(base.flux(lamp));
+    let most = document.look().lamps.iter().map(strength);
+    let part = strength(lamp) / most.fold(f32::MIN_POSITIVE, f32::max);
+    MARKS[1] + (MARKS[0] - MARKS[1]) * part.clamp(0.0, 1.0).sqrt()
+}
+
 /// How a lamp's mark is drawn.
 #[expect(clippy::struct_excessive_bools, reason = "each stands alone")]
 #[derive(Clone, Copy)]
 pub(super) struct MarkStyle {
+    /// In points.
+    pub(super) radius: f32,
     pub(super) selected: bool,
     pub(super) lit: bool,
     /// An outline only: the lamp is dark, or not where the mark is.
@@ -207,11 +218,12 @@ pub(super) struct MarkStyle {
 
 /// Draws a lamp's mark: a disc of its hue in a dark ring, which light and white backgrounds both leave visible.
 pub(super) fn draw_mark(painter: &egui::Painter, at: Pos2, hue: Color32, style: MarkStyle) {
-    let radius = if style.lit || style.selected {
-        MARK + 1.0
+    let larger = if style.lit || style.selected {
+        1.5
     } else {
-        MARK - 1.0
+        0.0
     };
+    let radius = style.radius + larger;
     let strength = if style.faint { 0.55 } else { 1.0 };
     painter.circle_stroke(
         at,

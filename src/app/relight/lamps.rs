@@ -1,9 +1,12 @@
 //! The list of lamps and the settings of the selected one.
 
-use eframe::egui::{self, Align, Button, CornerRadius, Layout, RichText, Sense, Stroke, vec2};
+use eframe::egui::{
+    self, Align, Align2, Button, CornerRadius, Layout, RichText, Sense, Stroke, vec2,
+};
 use glam::{Quat, Vec3};
 
 use super::editing::{Editing, hue, undoable, with_lamp};
+use super::whereabouts::Viewer;
 use crate::app::theme;
 use rekindle_relight::luminance;
 use rekindle_scene::hemisphere::from_above_axes;
@@ -11,6 +14,9 @@ use rekindle_studio::{
     ANGULAR_RADIUS, Baseline, Colour, Document, KELVIN, Lamp, LampId, MAX_STOPS, Origin, black_body,
 };
 
+/// Why a light can't be reset.
+pub(super) const NO_RESET: &str =
+    "Only a light of the estimate that was changed has something to go back to.";
 /// Intensities that the slider reaches; more can be typed.
 const SLIDER_STOPS: f32 = 6.0;
 /// Where a colour temperature begins: noon.
@@ -26,53 +32,40 @@ enum Wish {
     Rename(LampId, String),
     Duplicate(LampId),
     Delete(LampId),
+    Reset(LampId),
 }
 
-/// Shows the list.
-pub(super) fn list(ui: &mut egui::Ui, document: &mut Document, editing: &mut Editing) {
-    let mut wish = None;
-    let (look, base) = (document.look().clone(), document.base().clone());
-    if look.lamps.is_empty() {
-        ui.weak("No lamps. Add one below.");
-    }
-    for lamp in &look.lamps {
-        let dark = look.is_dark(lamp);
-        let solo = look.solo == Some(lamp.id);
-        if let Some(asked) = row(ui, &base, lamp, dark, solo, editing) {
-            wish = Some(asked);
-        }
-    }
-    match wish {
-        Some(Wish::Mute(id)) => mute(document, id),
-        Some(Wish::Solo(id)) => solo(document, id),
-        Some(Wish::Rename(id, name)) => {
-            document.edit("Rename lamp", |s, _| with_lamp(s, id, |l| l.name = name));
-        }
-        Some(Wish::Duplicate(id)) => duplicate(document, editing, id),
-        Some(Wish::Delete(id)) => delete(document, editing, id),
-        None => {}
-    }
-    ui.add_space(2.0);
+/// The lamps of the look that is shown, those first that send the most light, or would if they were on.
+pub(super) fn by_contribution(document: &Document) -> Vec<Lamp> {
+    let base = document.base();
+    let mut lamps = document.look().lamps.clone();
+    let strength = |lamp: &Lamp| luminance(base.flux(lamp));
+    lamps.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
+    lamps
+}
+
+/// Buttons for the list's lamps.
+pub(super) fn buttons(ui: &mut egui::Ui, document: &mut Document, editing: &mut Editing) {
     ui.horizontal(|ui| {
         let tip = "Add a white disc of light from above the camera's side (A)";
-        if ui.button("Add lamp").on_hover_text(tip).clicked() {
+        if ui.button("Add light").on_hover_text(tip).clicked() {
             add(document, editing);
         }
         let selected = editing.selected(document.look()).map(|l| l.id);
         for (name, tip) in [
             (
                 "Duplicate",
-                "Put a copy of the selected lamp beside it (Shift+D)",
+                "Put a copy of the selected light beside it (Shift+D)",
             ),
             (
                 "Delete",
-                "Remove the selected lamp (Delete); undo brings it back",
+                "Remove the selected light (Delete); undo brings it back",
             ),
         ] {
             let button = ui.add_enabled(selected.is_some(), Button::new(name));
             let clicked = button
                 .on_hover_text(tip)
-                .on_disabled_hover_text("Select a lamp first")
+                .on_disabled_hover_text("Select a light first")
                 .clicked();
             match (clicked, selected) {
                 (true, Some(id)) if name == "Delete" => delete(document, editing, id),
@@ -83,51 +76,213 @@ pub(super) fn list(ui: &mut egui::Ui, document: &mut Document, editing: &mut Edi
     });
 }
 
-fn row(
+/// Shows the list in the room that is left; it scrolls by itself.
+pub(super) fn list(
     ui: &mut egui::Ui,
-    base: &Baseline,
-    lamp: &Lamp,
+    document: &mut Document,
+    editing: &mut Editing,
+    viewer: &Viewer,
+) {
+    let mut wish = None;
+    let lamps = by_contribution(document);
+    let total = editing.total_light(document);
+    let (look, base) = (document.look().clone(), document.base().clone());
+    let scroll = egui::ScrollArea::vertical().id_salt("lamps");
+    scroll.auto_shrink(false).show(ui, |ui| {
+        // Room for the scroll bar.
+        ui.set_max_width(ui.available_width() - 10.0);
+        if lamps.is_empty() {
+            ui.weak("No lights. Add one above.");
+        }
+        for lamp in &lamps {
+            let dark = look.is_dark(lamp);
+            let own = if dark {
+                0.0
+            } else {
+                luminance(base.flux(lamp))
+            };
+            let row = Row {
+                lamp,
+                dark,
+                solo: look.solo == Some(lamp.id),
+                share: own / total.max(f32::MIN_POSITIVE),
+                place: viewer.words(lamp.direction),
+            };
+            if let Some(asked) = row.show(ui, &base, editing) {
+                wish = Some(asked);
+            }
+        }
+    });
+    match wish {
+        Some(Wish::Mute(id)) => mute(document, id),
+        Some(Wish::Solo(id)) => solo(document, id),
+        Some(Wish::Rename(id, name)) => {
+            document.edit("Rename light", |s, _| with_lamp(s, id, |l| l.name = name));
+        }
+        Some(Wish::Duplicate(id)) => duplicate(document, editing, id),
+        Some(Wish::Delete(id)) => delete(document, editing, id),
+        Some(Wish::Reset(id)) => reset(document, id),
+        None => {}
+    }
+}
+
+/// A row of the list.
+struct Row<'a> {
+    lamp: &'a Lamp,
     dark: bool,
     solo: bool,
-    editing: &mut Editing,
-) -> Option<Wish> {
-    let mut wish = None;
-    ui.horizontal(|ui| {
-        swatch(ui, base, lamp, dark);
-        let buttons = 62.0;
-        let width = ui.available_width() - buttons;
-        if let Some((id, mut text)) = editing.renaming.take_if(|(id, _)| *id == lamp.id) {
-            let field = egui::TextEdit::singleline(&mut text).desired_width(width - 16.0);
-            let field = ui.add(field).accessible_name("Name of the lamp");
-            field.request_focus();
-            let enter = ui.input(|i| i.key_pressed(egui::Key::Enter));
-            let escape = ui.input(|i| i.key_pressed(egui::Key::Escape));
-            if enter || field.clicked_elsewhere() {
-                let name = text.trim();
-                if !name.is_empty() && name != lamp.name {
-                    wish = Some(Wish::Rename(id, name.to_owned()));
+    /// Part of all light that it sends.
+    share: f32,
+    /// Where it is, in words.
+    place: String,
+}
+
+impl Row<'_> {
+    fn show(&self, ui: &mut egui::Ui, base: &Baseline, editing: &mut Editing) -> Option<Wish> {
+        let lamp = self.lamp;
+        let mut wish = None;
+        ui.horizontal(|ui| {
+            swatch(ui, base, lamp, self.dark);
+            let buttons = 62.0;
+            let width = (ui.available_width() - buttons).max(40.0);
+            if let Some((id, mut text)) = editing.renaming.take_if(|(id, _)| *id == lamp.id) {
+                let field = egui::TextEdit::singleline(&mut text).desired_width(width - 16.0);
+                let field = ui.add(field).accessible_name("Name of the light");
+                field.request_focus();
+                let enter = ui.input(|i| i.key_pressed(egui::Key::Enter));
+                let escape = ui.input(|i| i.key_pressed(egui::Key::Escape));
+                if enter || field.clicked_elsewhere() {
+                    let name = text.trim();
+                    if !name.is_empty() && name != lamp.name {
+                        wish = Some(Wish::Rename(id, name.to_owned()));
+                    }
+                } else if !escape {
+                    editing.renaming = Some((id, text));
                 }
-            } else if !escape {
-                editing.renaming = Some((id, text));
+            } else if let Some(asked) = self.name_ui(ui, width, editing) {
+                wish = Some(asked);
             }
-        } else if let Some(asked) = name_ui(ui, lamp, dark, width, editing) {
-            wish = Some(asked);
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                ui.spacing_mut().item_spacing.x = 4.0;
+                ui.spacing_mut().button_padding.x = 7.0;
+                let tip = "Leave only this light and the ambient light on (S)";
+                let name = format!("Solo {}", lamp.name);
+                if toggle(ui, self.solo, "S", &name, tip) {
+                    wish = Some(Wish::Solo(lamp.id));
+                }
+                let name = format!("Mute {}", lamp.name);
+                if toggle(
+                    ui,
+                    lamp.muted,
+                    "M",
+                    &name,
+                    "Switch this light off or on (M)",
+                ) {
+                    wish = Some(Wish::Mute(lamp.id));
+                }
+            });
+        });
+        wish
+    }
+
+    /// Name, place and share of all light, to be clicked.
+    fn name_ui(&self, ui: &mut egui::Ui, width: f32, editing: &mut Editing) -> Option<Wish> {
+        let lamp = self.lamp;
+        let height = ui.spacing().interact_size.y;
+        let (rect, response) = ui.allocate_exact_size(vec2(width, height), Sense::click());
+        let selected = editing.is_selected(lamp.id);
+        response.widget_info(|| {
+            egui::WidgetInfo::selected(egui::Role::Button, true, selected, &lamp.name)
+        });
+        let share = format!("{:.0} %", 100.0 * self.share);
+        let place = &self.place;
+        let described = format!("{place}, {share} of the light");
+        ui.ctx()
+            .accesskit_node_builder(response.id, |node| node.set_description(described.clone()));
+        self.paint(ui, rect, &response, selected, &share);
+        if selected && editing.scroll_to.take_if(|id| *id == lamp.id).is_some() {
+            response.scroll_to_me(None);
         }
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            ui.spacing_mut().item_spacing.x = 4.0;
-            ui.spacing_mut().button_padding.x = 7.0;
-            let tip = "Leave only this lamp and the ambient light on (S)";
-            let name = format!("Solo {}", lamp.name);
-            if toggle(ui, solo, "S", &name, tip) {
-                wish = Some(Wish::Solo(lamp.id));
+        if response.hovered() {
+            editing.hovered = Some(lamp.id);
+        }
+        if response.double_clicked() {
+            editing.renaming = Some((lamp.id, lamp.name.clone()));
+        } else if response.clicked() {
+            editing.select(Some(lamp.id));
+        }
+        let mut wish = None;
+        let tip = format!(
+            "{}: {described}\nClick to select, double-click to rename, right-click for more",
+            lamp.name
+        );
+        response.on_hover_text(tip).context_menu(|ui| {
+            let chosen = |ui: &mut egui::Ui, name: &str| {
+                let clicked = ui.button(name).clicked();
+                if clicked {
+                    ui.close();
+                }
+                clicked
+            };
+            if chosen(ui, "Rename") {
+                editing.renaming = Some((lamp.id, lamp.name.clone()));
             }
-            let name = format!("Mute {}", lamp.name);
-            if toggle(ui, lamp.muted, "M", &name, "Switch this lamp off or on (M)") {
-                wish = Some(Wish::Mute(lamp.id));
+            if chosen(ui, "Duplicate") {
+                wish = Some(Wish::Duplicate(lamp.id));
+            }
+            if chosen(ui, "Reset") {
+                wish = Some(Wish::Reset(lamp.id));
+            }
+            if chosen(ui, "Delete") {
+                wish = Some(Wish::Delete(lamp.id));
             }
         });
-    });
-    wish
+        wish
+    }
+
+    fn paint(
+        &self,
+        ui: &egui::Ui,
+        rect: egui::Rect,
+        response: &egui::Response,
+        selected: bool,
+        share: &str,
+    ) {
+        const BAR: f32 = 2.0;
+        let palette = theme::palette(ui);
+        let visuals = ui.style().interact_selectable(response, selected);
+        let painter = ui.painter_at(rect);
+        if selected || response.hovered() || response.has_focus() {
+            painter.rect_filled(rect, visuals.corner_radius, visuals.weak_bg_fill);
+        }
+        let text = if self.dark {
+            palette.weak
+        } else {
+            visuals.text_color()
+        };
+        let small = egui::TextStyle::Small.resolve(ui.style());
+        let right = rect.right_center() - vec2(6.0, 1.0);
+        let share = if self.dark { "off" } else { share };
+        let share = painter.text(right, Align2::RIGHT_CENTER, share, small, palette.weak);
+        let left = rect.left_center() + vec2(6.0, -1.0);
+        let end = share.left() - 6.0;
+        let short = |text: &str, style: egui::TextStyle, from: f32| {
+            let text = egui::WidgetText::from(text);
+            let mode = Some(egui::TextWrapMode::Truncate);
+            text.into_galley(ui, mode, (end - from).max(0.0), style)
+        };
+        let name = short(&self.lamp.name, egui::TextStyle::Button, left.x);
+        let after = egui::pos2(left.x + name.size().x + 8.0, left.y);
+        let up = |galley: &egui::Galley| vec2(0.0, -0.5 * galley.size().y);
+        painter.galley(left + up(&name), name, text);
+        if after.x < end {
+            let place = short(&self.place, egui::TextStyle::Small, after.x);
+            painter.galley(after + up(&place), place, palette.weak);
+        }
+        let foot = rect.left_bottom() - vec2(0.0, BAR);
+        let part = vec2(rect.width() * self.share.clamp(0.0, 1.0), BAR);
+        painter.rect_filled(egui::Rect::from_min_size(foot, part), 1.0, palette.accent);
+    }
 }
 
 /// A square of the lamp's hue; an outline where the lamp is dark.
@@ -158,56 +313,10 @@ fn toggle(ui: &mut egui::Ui, on: bool, letter: &str, name: &str, tip: &str) -> b
     button.accessible_name(name).on_hover_text(tip).clicked()
 }
 
-fn name_ui(
-    ui: &mut egui::Ui,
-    lamp: &Lamp,
-    dark: bool,
-    width: f32,
-    editing: &mut Editing,
-) -> Option<Wish> {
-    let mut wish = None;
-    let selected = editing.is_selected(lamp.id);
-    let mut text = RichText::new(&lamp.name);
-    if dark {
-        text = text.weak();
-    } else if editing.lit == Some(lamp.id) {
-        text = text.strong();
-    }
-    let button = Button::selectable(selected, (text, egui::Atom::grow()))
-        .min_size(vec2(width.max(40.0), 0.0))
-        .truncate();
-    let response = ui
-        .add(button)
-        .on_hover_text("Select this lamp; double-click to rename, right-click for more");
-    if response.hovered() {
-        editing.hovered = Some(lamp.id);
-    }
-    if response.double_clicked() {
-        editing.renaming = Some((lamp.id, lamp.name.clone()));
-    } else if response.clicked() {
-        editing.select(Some(lamp.id));
-    }
-    response.context_menu(|ui| {
-        if ui.button("Rename").clicked() {
-            editing.renaming = Some((lamp.id, lamp.name.clone()));
-            ui.close();
-        }
-        if ui.button("Duplicate").clicked() {
-            wish = Some(Wish::Duplicate(lamp.id));
-            ui.close();
-        }
-        if ui.button("Delete").clicked() {
-            wish = Some(Wish::Delete(lamp.id));
-            ui.close();
-        }
-    });
-    wish
-}
-
 /// Switches a lamp off or on.
 pub(super) fn mute(document: &mut Document, id: LampId) {
     let muted = document.look().lamp(id).is_some_and(|l| l.muted);
-    let label = if muted { "Unmute lamp" } else { "Mute lamp" };
+    let label = if muted { "Unmute light" } else { "Mute light" };
     document.edit(label, |s, _| with_lamp(s, id, |l| l.muted = !muted));
 }
 
@@ -216,14 +325,14 @@ pub(super) fn solo(document: &mut Document, id: LampId) {
     let label = if document.look().solo == Some(id) {
         "End solo"
     } else {
-        "Solo lamp"
+        "Solo light"
     };
     document.edit(label, |s, _| s.look_mut().toggle_solo(id));
 }
 
 /// Adds a lamp and selects it.
 pub(super) fn add(document: &mut Document, editing: &mut Editing) {
-    let id = document.edit("Add lamp", |s, base| {
+    let id = document.edit("Add light", |s, base| {
         let up = base.lighting.up;
         let [right, north] = from_above_axes(up);
         // Half way up in the south-east, beside those that were added there before.
@@ -236,7 +345,7 @@ pub(super) fn add(document: &mut Document, editing: &mut Editing) {
 
 /// Puts a copy of a lamp beside it, a little to the side, and selects it.
 pub(super) fn duplicate(document: &mut Document, editing: &mut Editing, id: LampId) {
-    let copy = document.edit("Duplicate lamp", |s, base| {
+    let copy = document.edit("Duplicate light", |s, base| {
         let copy = s.duplicate_lamp(base, id)?;
         let turn = Quat::from_axis_angle(base.lighting.up, 0.2);
         with_lamp(s, copy, |l| {
@@ -249,7 +358,7 @@ pub(super) fn duplicate(document: &mut Document, editing: &mut Editing, id: Lamp
 
 /// Removes a lamp.
 pub(super) fn delete(document: &mut Document, editing: &mut Editing, id: LampId) {
-    document.edit("Delete lamp", |s, _| s.look_mut().delete(id));
+    document.edit("Delete light", |s, _| s.look_mut().delete(id));
     editing.select(None);
 }
 
@@ -257,11 +366,9 @@ pub(super) fn delete(document: &mut Document, editing: &mut Editing, id: LampId)
 pub(super) fn settings(ui: &mut egui::Ui, document: &mut Document, editing: &Editing) {
     let base = document.base().clone();
     let Some(lamp) = editing.selected(document.look()).cloned() else {
-        theme::group(ui, "Lamp");
-        ui.weak("Select a lamp in the list, on the hemisphere or around the object.");
+        ui.weak("Select a light in the list, on the hemisphere or around the object.");
         return;
     };
-    theme::group(ui, &lamp.name);
     let id = lamp.id;
     fit_sliders(ui);
     egui::Grid::new("lamp settings")
@@ -292,23 +399,42 @@ pub(super) fn settings(ui: &mut egui::Ui, document: &mut Document, editing: &Edi
             softness_ui(ui, document, &base, &lamp);
             direction_ui(ui, document, &base, &lamp);
         });
-    if let Origin::Estimated(index) = lamp.origin {
-        let own = Lamp {
-            name: lamp.name.clone(),
-            ..base.estimated(id, index)
-        };
-        let button = ui.add_enabled(own != lamp, Button::new("Back to the estimate"));
-        let tip = "Undo everything done to this lamp except its name";
-        if button
-            .on_hover_text(tip)
-            .on_disabled_hover_text(tip)
-            .clicked()
-        {
-            document.edit("Back to the estimate", |s, _| {
-                with_lamp(s, id, |l| *l = own);
-            });
-        }
+    let button = ui.add_enabled(can_reset(document, editing), Button::new("Reset light"));
+    let tip = "Undo everything done to this light except its name (Shift+R)";
+    if button
+        .on_hover_text(tip)
+        .on_disabled_hover_text(NO_RESET)
+        .clicked()
+    {
+        reset(document, id);
     }
+}
+
+/// A lamp as it was estimated, under its present name; none if it was added.
+fn as_estimated(document: &Document, lamp: &Lamp) -> Option<Lamp> {
+    let Origin::Estimated(index) = lamp.origin else {
+        return None;
+    };
+    Some(Lamp {
+        name: lamp.name.clone(),
+        ..document.base().estimated(lamp.id, index)
+    })
+}
+
+/// Whether the selected lamp is one of the estimate and was changed.
+pub(super) fn can_reset(document: &Document, editing: &Editing) -> bool {
+    let lamp = editing.selected(document.look());
+    lamp.is_some_and(|lamp| as_estimated(document, lamp).is_some_and(|own| own != *lamp))
+}
+
+/// Puts a lamp back to how it was estimated.
+pub(super) fn reset(document: &mut Document, id: LampId) {
+    let lamp = document.look().lamp(id);
+    let Some(own) = lamp.and_then(|lamp| as_estimated(document, lamp)) else {
+        return;
+    };
+    let label = format!("Reset {}", own.name);
+    document.edit(&label, |s, _| with_lamp(s, id, |l| *l = own));
 }
 
 fn colour_ui(ui: &mut egui::Ui, document: &mut Document, base: &Baseline, lamp: &Lamp) {
@@ -319,7 +445,7 @@ fn colour_ui(ui: &mut egui::Ui, document: &mut Document, base: &Baseline, lamp: 
         let is_kelvin = matches!(lamp.colour, Colour::Kelvin(_));
         let rgb = ui
             .selectable_label(!is_kelvin, "RGB")
-            .on_hover_text("Choose a colour; the lamp keeps its brightness");
+            .on_hover_text("Choose a colour; the light keeps its brightness");
         if rgb.clicked() && is_kelvin {
             document.edit(&label, |s, b| {
                 with_lamp(s, id, |l| l.colour = b.gain_of_colour(l, b.flux(l)));
@@ -327,7 +453,7 @@ fn colour_ui(ui: &mut egui::Ui, document: &mut Document, base: &Baseline, lamp: 
         }
         let kelvin = ui
             .selectable_label(is_kelvin, "Temperature")
-            .on_hover_text("The colour of a glowing body; the lamp keeps its brightness");
+            .on_hover_text("The colour of a glowing body; the light keeps its brightness");
         if kelvin.clicked() && !is_kelvin {
             document.edit(&label, |s, _| {
                 with_lamp(s, id, |l| l.colour = Colour::Kelvin(NOON));
@@ -344,7 +470,7 @@ fn colour_ui(ui: &mut egui::Ui, document: &mut Document, base: &Baseline, lamp: 
             let response = ui
                 .color_edit_button_rgb(&mut rgb)
                 .accessible_name("Colour")
-                .on_hover_text("The hue of the light; the lamp keeps its brightness");
+                .on_hover_text("The hue of the light; the light keeps its brightness");
             let wanted = Vec3::from(rgb);
             // Black has no hue.
             if luminance(wanted) > 1e-4 {
@@ -388,7 +514,7 @@ fn softness_ui(ui: &mut egui::Ui, document: &mut Document, base: &Baseline, lamp
         .fixed_decimals(1)
         .suffix("°");
     let response = ui.add(slider).accessible_name("Softness").on_hover_text(
-        "Angular radius: a larger lamp has softer shadows and wider highlights, with the same light",
+        "Angular radius: a larger light has softer shadows and wider highlights, as bright",
     );
     undoable(
         document,

@@ -10,39 +10,71 @@ mod handles;
 mod hemisphere;
 mod lamps;
 mod looks;
+mod photographs;
 mod pointing;
 mod programs;
 mod surroundings;
 #[cfg(test)]
 mod tests;
+mod whereabouts;
 
-use std::borrow::Cow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 
 use eframe::egui;
+use glam::Vec3;
 
 use super::commands::Action;
 use super::viewport::{Object, Scene, Viewport};
-use super::{Shared, theme};
+use super::{Request, Shared, result, theme};
 use crate::worker::{Command, Latest, Purpose, Rendered, Subject, Worker};
 use editing::Editing;
-use exporting::{Answer, Question, Screen};
+use exporting::{Answer, Screen};
+pub(super) use exporting::{Others, Question, duration_in_words};
 use handles::{Handles, Seen};
 use hemisphere::LitDisc;
 use pointing::Pointing;
 use programs::Programs;
 use rekindle_capture::{Camera, Capture};
-use rekindle_estimate::registration::corrected;
+use rekindle_output::export::Job;
 use rekindle_scene::hemisphere::FromAbove;
 use rekindle_studio::{Document, Place};
 use surroundings::Probes;
+use whereabouts::Viewer;
+
+/// Height of the settings that never move, points.
+const PINNED: f32 = 222.0;
+/// Least height of the list of lights with what is above it, points.
+const LEAST_LIST: f32 = 150.0;
+/// Least side of the hemisphere, points; its most, as a part of the window's height.
+const LEAST_DISC: f32 = 90.0;
+const MOST_DISC: f32 = 0.3;
 
 /// A question about exports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Asked {
     Pictures,
     Programs,
+}
+
+/// What is wrong with a file that was chosen on the page.
+pub(super) enum Problem {
+    /// A light probe.
+    Probe(String),
+    /// Photographs.
+    Photographs(String),
+}
+
+/// An export under way.
+#[derive(Clone, Debug)]
+pub(super) struct Export {
+    /// Where to.
+    pub(super) folder: PathBuf,
+    /// Millions of pixels that it makes; none where it is of other things, too.
+    pub(super) megapixels: Option<f64>,
+    /// Files that are there if it is stopped.
+    pub(super) kept: Arc<AtomicUsize>,
 }
 
 /// A document that is being edited.
@@ -56,12 +88,13 @@ pub struct Relighting {
     probes: Probes,
     /// Pixels of the disc, once they are found.
     from_above: Arc<Latest<FromAbove>>,
+    /// The capture's photographs, once they are read.
+    photographs: Arc<Latest<photographs::Read>>,
     prepared: bool,
     /// The question that is open.
     question: Option<Asked>,
     /// The question that was answered last, while a folder is chosen and the files are made.
     answered: Asked,
-    pictures: Question,
     programs: Programs,
 }
 
@@ -69,10 +102,7 @@ impl Relighting {
     /// Shows a document; `capture` is what it was solved from, if that is open.
     pub fn new(document: Document, capture: Option<&Arc<Capture>>) -> Self {
         let solution = document.solution();
-        let registered = capture.map(|capture| match corrected(capture, &solution.corrections) {
-            Cow::Borrowed(_) => Arc::clone(capture),
-            Cow::Owned(registered) => Arc::new(registered),
-        });
+        let registered = capture.map(|capture| photographs::with_corrections(capture, solution));
         let mut viewport = Viewport::new(
             Object::Solution(Arc::clone(solution)),
             solution.grid.up,
@@ -90,10 +120,10 @@ impl Relighting {
             pointing: Pointing::default(),
             probes: Probes::default(),
             from_above: Arc::default(),
+            photographs: Arc::default(),
             prepared: false,
             question: None,
             answered: Asked::Pictures,
-            pictures: Question::default(),
             programs: Programs::default(),
         }
     }
@@ -123,17 +153,55 @@ impl Relighting {
         &mut self.viewport
     }
 
+    /// Whether the photographs are not known.
+    pub(super) fn lacks_photographs(&self) -> bool {
+        self.viewport.lacks_photographs()
+    }
+
+    /// Reads photographs beside the window's thread, to compare with.
+    pub(super) fn locate_photographs(&mut self, worker: &mut Worker, path: &Path) {
+        let (slot, path) = (Arc::clone(&self.photographs), path.to_owned());
+        let solution = Arc::clone(self.document.solution());
+        worker.aside("photographs", move || {
+            slot.store(photographs::read(&path, &solution).map(|capture| (path, capture)));
+        });
+    }
+
+    /// Takes photographs that were read. Says what is wrong with them.
+    fn take_photographs(&mut self) -> Option<String> {
+        match self.photographs.take()? {
+            Ok((path, capture)) => {
+                self.document.capture = Some(path);
+                self.viewport.set_photographs(capture);
+                None
+            }
+            Err(problem) => Some(problem),
+        }
+    }
+
     /// Takes a picture of the reference renderer.
     pub fn rendered(&mut self, ctx: &egui::Context, rendered: &Rendered) {
         self.viewport.rendered(ctx, rendered);
     }
 
-    /// Whether a command about lamps and looks can be given.
-    pub(super) fn enabled(&self, action: Action) -> bool {
-        match action {
-            Action::AddLamp | Action::NextLamp | Action::NextLook => true,
-            _ => self.editing.selected(self.document.look()).is_some(),
-        }
+    /// Why a command about lamps and looks can't be given, if it can't.
+    pub(super) fn obstacle(&self, action: Action) -> Option<&'static str> {
+        let (possible, why_not) = match action {
+            Action::AddLamp | Action::NextLamp | Action::NextLook => return None,
+            Action::CompareCaptured => (
+                looks::is_comparable(&self.document),
+                "There is only the captured light so far.",
+            ),
+            Action::ResetLamp => (
+                lamps::can_reset(&self.document, &self.editing),
+                lamps::NO_RESET,
+            ),
+            _ => (
+                self.editing.selected(self.document.look()).is_some(),
+                "Select a light first.",
+            ),
+        };
+        (!possible).then_some(why_not)
     }
 
     /// Carries out a command about lamps and looks.
@@ -143,12 +211,14 @@ impl Relighting {
         match (action, selected) {
             (Action::AddLamp, _) => lamps::add(document, editing),
             (Action::NextLamp, _) => {
-                let lamps = &document.look().lamps;
+                let lamps = lamps::by_contribution(document);
                 let at = lamps.iter().position(|l| Some(l.id) == selected);
                 let next = lamps.get(at.map_or(0, |at| at + 1)).or(lamps.first());
                 editing.select(next.map(|l| l.id));
             }
             (Action::NextLook, _) => looks::next(document),
+            (Action::CompareCaptured, _) => looks::compare(document, editing),
+            (Action::ResetLamp, Some(id)) => lamps::reset(document, id),
             (Action::Export, _) => self.question = Some(Asked::Pictures),
             (Action::ExportObject, _) => self.question = Some(Asked::Programs),
             (Action::MuteLamp, Some(id)) => lamps::mute(document, id),
@@ -167,24 +237,47 @@ impl Relighting {
         self.probes.read(worker, path);
     }
 
-    /// The command that exports into a folder as was asked.
-    pub(super) fn export_to(&self, folder: &Path) -> Option<Command> {
-        if self.answered == Asked::Programs {
-            let cameras = self.cameras().to_vec();
-            return Some(self.programs.command(&self.document, cameras, folder));
-        }
+    /// The pictures that a question comes to, in a folder.
+    fn pictures(&self, question: &Question, folder: &Path) -> Option<Job> {
         let seen = Seen::from(self.viewport.seen()?);
         let (transform, exposure, background) = self.viewport.shown_as();
         let screen = Screen {
             seen: &seen,
             cameras: self.viewport.named_cameras(),
+            at: self.viewport.at(),
             transform,
             exposure,
             background,
         };
         let lamp = self.editing.selected(self.document.look()).map(|l| l.id);
-        let job = self.pictures.job(&self.document, lamp, &screen, folder);
-        Some(exporting::command(self.document.solution(), job))
+        Some(question.job(&self.document, lamp, &screen, folder))
+    }
+
+    /// The command that exports as was asked, and what is to be known of it.
+    pub(super) fn export(&self, question: &Question, others: Others) -> Option<(Command, Export)> {
+        let folder = question.folder.clone()?;
+        let mut export = Export {
+            folder,
+            megapixels: None,
+            kept: Arc::default(),
+        };
+        if self.answered == Asked::Programs {
+            let cameras = self.cameras().to_vec();
+            let command = self
+                .programs
+                .command(&self.document, cameras, &export.folder);
+            return Some((command, export));
+        }
+        let mut job = self.pictures(question, &export.folder)?;
+        if others == Others::Kept {
+            job = job.beside_others();
+        }
+        export.megapixels = Some(exporting::megapixels(&job));
+        let kept = Arc::clone(&export.kept);
+        Some((
+            exporting::command(self.document.solution(), job, kept),
+            export,
+        ))
     }
 
     /// Names and cameras of the input views: the solution's own, or those of the open capture.
@@ -204,6 +297,10 @@ impl Relighting {
         }
         if !self.prepared {
             self.prepared = true;
+            let known = self.document.capture.clone();
+            if let Some(path) = known.filter(|_| self.viewport.lacks_photographs()) {
+                self.locate_photographs(worker, &path);
+            }
             let solution = Arc::clone(self.document.solution());
             let slot = Arc::clone(&self.from_above);
             worker.aside("disc", move || {
@@ -213,24 +310,18 @@ impl Relighting {
     }
 
     /// Shows the page. Returns what is wrong, if something is.
-    pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) -> Option<String> {
+    pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) -> Option<Problem> {
         self.prepare(shared.worker);
-        let problem = self.probes.take(&mut self.document);
+        let problem = self.probes.take(&mut self.document).map(Problem::Probe);
+        let problem = problem.or(self.take_photographs().map(Problem::Photographs));
         self.editing.begin_frame();
         egui::Panel::left("lamps")
             .frame(theme::side(ui))
             .resizable(true)
             .default_size(theme::SIDE)
             .size_range(260.0..=420.0)
-            .show(ui, |ui| {
-                egui::ScrollArea::vertical()
-                    .auto_shrink(false)
-                    .show(ui, |ui| {
-                        // Room for the scroll bar.
-                        ui.set_max_width(ui.available_width() - 10.0);
-                        self.side_ui(ui, shared);
-                    });
-            });
+            .show(ui, |ui| self.side_ui(ui, shared));
+        result::panel(ui, self.document.solution(), shared);
         egui::CentralPanel::default()
             .frame(theme::stage())
             .show(ui, |ui| self.stage_ui(ui, shared));
@@ -247,19 +338,64 @@ impl Relighting {
         problem
     }
 
+    /// The direction from the object to where it is seen from.
+    fn towards_viewer(&self) -> Vec3 {
+        let lighting = &self.document.base().lighting;
+        let eye = self.viewport.seen().map(|(camera, _)| camera.position());
+        let offset = eye.map_or(Vec3::ZERO, |eye| eye.as_vec3() - lighting.centre);
+        offset.normalize_or(lighting.up)
+    }
+
+    /// Setups, hemisphere and lights; below, in a place that never moves, what belongs to the selected light.
     fn side_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        egui::Panel::bottom("pinned settings")
+            .frame(egui::Frame::new())
+            .exact_size(PINNED)
+            .show(ui, |ui| self.pinned_ui(ui, shared));
+        let towards = self.towards_viewer();
+        let viewer = Viewer::new(towards, self.document.base().lighting.up);
         let (document, editing) = (&mut self.document, &mut self.editing);
-        looks::show(ui, document, editing);
-        ui.add_space(theme::GAP);
-        self.disc.show(ui, document, editing, shared);
-        ui.add_space(theme::GAP);
-        theme::group(ui, "Lamps");
-        lamps::list(ui, document, editing);
-        ui.add_space(theme::GAP);
-        lamps::settings(ui, document, editing);
-        ui.add_space(theme::GAP);
-        surroundings::show(ui, document, &self.probes, shared);
-        ui.add_space(theme::GAP);
+        looks::show(ui, document, editing, towards);
+        ui.add_space(theme::GAP * 0.5);
+        // In a low window the list needs the room.
+        let room = ui.available_height() - LEAST_LIST;
+        let side = room.clamp(LEAST_DISC, MOST_DISC * ui.ctx().content_rect().height());
+        let side = side.min(ui.available_width());
+        self.disc.show(ui, side, document, editing, shared);
+        ui.add_space(theme::GAP * 0.5);
+        theme::group(ui, "Lights");
+        lamps::buttons(ui, document, editing);
+        lamps::list(ui, document, editing, &viewer);
+    }
+
+    /// Settings of the selected light, or of the surroundings.
+    fn pinned_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        let (document, editing) = (&mut self.document, &mut self.editing);
+        ui.add_space(6.0);
+        ui.horizontal(|ui| {
+            let lamp = editing.selected(document.look());
+            let name = lamp.map_or("Selected light", |l| l.name.as_str());
+            let name = egui::RichText::new(name).strong();
+            let own = egui::Button::selectable(!editing.surroundings, name).truncate();
+            let own = ui.add(own).accessible_name("Settings of the light");
+            if own
+                .on_hover_text("Settings of the selected light")
+                .clicked()
+            {
+                editing.surroundings = false;
+            }
+            let around = ui.selectable_label(editing.surroundings, "Surroundings");
+            let tip = "Ambient light, stray light and a light probe";
+            if around.on_hover_text(tip).clicked() {
+                editing.surroundings = true;
+            }
+        });
+        ui.add_space(4.0);
+        if editing.surroundings {
+            surroundings::show(ui, document, &self.probes, shared);
+        } else {
+            lamps::settings(ui, document, editing);
+        }
     }
 
     fn stage_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
@@ -271,7 +407,18 @@ impl Relighting {
             .exact_size(36.0)
             .show(ui, |ui| {
                 ui.horizontal_centered(|ui| {
-                    pointing::bar(ui, &self.document, &mut self.editing);
+                    ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                        result::button(ui, self.document.solution(), shared);
+                        ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| {
+                            if self.viewport.compares() {
+                                ui.weak(
+                                    "The captured light is shown; lights are placed in Object.",
+                                );
+                            } else {
+                                pointing::bar(ui, &self.document, &mut self.editing);
+                            }
+                        });
+                    });
                 });
             });
         let document = &self.document;
@@ -295,6 +442,15 @@ impl Relighting {
         let Some(seen) = self.viewport.seen().map(Seen::from) else {
             return;
         };
+        if self.viewport.take_wish() {
+            shared
+                .actions
+                .push(Request::Action(Action::LocatePhotographs));
+        }
+        // Beside a photograph no light is placed: what is shown is the captured one.
+        if self.viewport.compares() {
+            return;
+        }
         let (document, editing) = (&mut self.document, &mut self.editing);
         let held = self.handles.show(ui, &seen, document, editing);
         self.pointing
@@ -304,25 +460,36 @@ impl Relighting {
     fn question_ui(&mut self, ctx: &egui::Context, shared: &mut Shared<'_>) {
         let answer = match self.question {
             None => return,
-            Some(Asked::Pictures) => {
-                let lamp = self.editing.selected(self.document.look());
-                let cameras = self.viewport.cameras();
-                let lamp = lamp.map(|l| l.name.as_str());
-                self.pictures.show(ctx, cameras, lamp)
-            }
+            Some(Asked::Pictures) => self.pictures_ui(ctx, shared),
             Some(Asked::Programs) => {
                 let cameras = self.cameras().len();
-                self.programs.show(ctx, cameras)
+                let folder = shared.settings.export.folder.as_deref();
+                self.programs.show(ctx, cameras, folder)
             }
         };
         match answer {
             Answer::Nothing => {}
             Answer::Closed => self.question = None,
-            Answer::Export => {
-                self.answered = self.question.take().unwrap_or(Asked::Pictures);
-                let start = self.document.project().and_then(Path::parent);
+            Answer::ChooseFolder => {
+                let known = shared.settings.export.folder.as_deref();
+                let start = known.or_else(|| self.document.project().and_then(Path::parent));
                 shared.worker.pick(Purpose::ExportFolder, start);
             }
+            Answer::Export(others) => {
+                self.answered = self.question.take().unwrap_or(Asked::Pictures);
+                shared.actions.push(Request::Export(others));
+            }
         }
+    }
+
+    /// The question about pictures.
+    fn pictures_ui(&mut self, ctx: &egui::Context, shared: &mut Shared<'_>) -> Answer {
+        let question = &mut shared.settings.export;
+        let lamp = self.editing.selected(self.document.look());
+        let lamp = lamp.map(|l| l.name.clone());
+        let cameras = self.viewport.cameras();
+        let automatic = question.automatic_name(&self.document, self.viewport.at());
+        let job = |question: &Question, folder: &Path| self.pictures(question, folder);
+        question.show(ctx, cameras, lamp.as_deref(), &automatic, job)
     }
 }

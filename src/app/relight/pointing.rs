@@ -150,13 +150,27 @@ fn answer(document: &Document, viewport: &Viewport, at: Pos2) -> Option<Answer> 
     })
 }
 
+/// Width from which the bar has room for a sentence beside its buttons, points.
+const WIDE: f32 = 640.0;
+
 /// Buttons for what pressing on the object does, over the foot of the viewport.
 pub(super) fn bar(ui: &mut egui::Ui, document: &Document, editing: &mut Editing) {
     let Some(lamp) = editing.selected(document.look()) else {
-        ui.weak("Hover a highlight to see its lamp. Select a lamp to place it by pressing on the object.");
+        let text = "Hover a highlight to see which light makes it. Select a light to place it by pressing on the object.";
+        let weak = egui::RichText::new(text).weak();
+        ui.add(egui::Label::new(weak).truncate());
         return;
     };
-    ui.label(format!("Press on the object to place {}", lamp.name));
+    // A long name must leave room for the buttons.
+    let wide = ui.available_width() >= WIDE;
+    let most = if wide { 24 } else { 7 };
+    let mut name: String = lamp.name.chars().take(most).collect();
+    if name.len() < lamp.name.len() {
+        name.push('…');
+    }
+    let sentence = format!("Press on the object to place {name}");
+    let text = if wide { &sentence } else { &name };
+    ui.label(text).on_hover_text(&sentence);
     for (what, name, tip) in [
         (
             Place::Highlight,
@@ -185,7 +199,7 @@ pub(super) fn bar(ui: &mut egui::Ui, document: &Document, editing: &mut Editing)
     }
     if ui
         .button("Done")
-        .on_hover_text("Select no lamp (Escape)")
+        .on_hover_text("Select no light (Escape)")
         .clicked()
     {
         editing.select(None);

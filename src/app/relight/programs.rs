@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use eframe::egui;
 
-use super::exporting::{Answer, buttons};
+use super::exporting::{Answer, buttons, folder_ui};
 use crate::app::theme;
 use crate::worker::Command;
 use rekindle_capture::Camera;
@@ -23,16 +23,16 @@ const FORMS: [(Form, &str, &str); 8] = [
     (
         Form::Blender,
         "Blender",
-        "A script that rebuilds object, lamps and cameras",
+        "A script that rebuilds object, lights and cameras",
     ),
     (Form::Mitsuba, "Mitsuba 3", "A scene with the same material"),
-    (Form::Gltf, "glTF", "One GLB file with the lamps"),
-    (Form::Usd, "USD", "Object, dome light and lamps as text"),
+    (Form::Gltf, "glTF", "One GLB file with the lights"),
+    (Form::Usd, "USD", "Object, dome light and lights as text"),
     (Form::Obj, "OBJ", "Mesh, material and texture"),
     (
         Form::Light,
         "Light maps",
-        "Lat-long EXR and HDR, and the lamps as lists",
+        "Lat-long EXR and HDR, and the lights as lists",
     ),
     (
         Form::Cameras,
@@ -42,7 +42,7 @@ const FORMS: [(Form, &str, &str); 8] = [
     (
         Form::Layers,
         "Layers",
-        "EXR pictures from all cameras with a light group for each lamp; they take a while",
+        "EXR pictures from all cameras with a light group for each light; they take a while",
     ),
 ];
 
@@ -79,15 +79,20 @@ impl Default for Programs {
 }
 
 impl Programs {
-    /// Shows the question; `cameras` is how many are known.
-    pub(super) fn show(&mut self, ctx: &egui::Context, cameras: usize) -> Answer {
+    /// Shows the question; `cameras` is how many are known, `folder` where the files go.
+    pub(super) fn show(
+        &mut self,
+        ctx: &egui::Context,
+        cameras: usize,
+        folder: Option<&Path>,
+    ) -> Answer {
         let mut answer = Answer::Nothing;
         let modal = egui::Modal::new(egui::Id::unique("programs"))
             .frame(theme::dialog(ctx))
             .show(ctx, |ui| {
                 ui.set_width(460.0);
                 ui.heading("Export for other programs");
-                ui.label("The object and the light of the look that is shown.");
+                ui.label("The object and the light of the setup that is shown.");
                 ui.add_space(theme::GAP * 0.5);
                 egui::Grid::new("programs settings")
                     .num_columns(2)
@@ -96,6 +101,9 @@ impl Programs {
                         self.forms_ui(ui, cameras);
                         self.maps_ui(ui);
                         self.scale_ui(ui);
+                        if folder_ui(ui, folder) {
+                            answer = Answer::ChooseFolder;
+                        }
                     });
                 ui.add_space(theme::GAP * 0.5);
                 ui.weak(
@@ -103,11 +111,15 @@ impl Programs {
                      each comes.",
                 );
                 ui.add_space(theme::GAP * 0.5);
-                let problem = self
-                    .forms
-                    .is_empty()
-                    .then_some("Choose at least one program");
-                answer = buttons(ui, problem);
+                let problem = match folder {
+                    None => Some("Choose a folder first"),
+                    Some(_) if self.forms.is_empty() => Some("Choose at least one program"),
+                    Some(_) => None,
+                };
+                let given = buttons(ui, problem);
+                if given != Answer::Nothing {
+                    answer = given;
+                }
             });
         if modal.should_close() && answer == Answer::Nothing {
             answer = Answer::Closed;
@@ -177,8 +189,8 @@ impl Programs {
         ui.end_row();
         ui.label("");
         ui.horizontal(|ui| {
-            ui.checkbox(&mut self.per_lamp, "One for each lamp")
-                .on_hover_text("A map for every lamp, and one of the rest");
+            ui.checkbox(&mut self.per_lamp, "One for each light")
+                .on_hover_text("A map for every light, and one of the rest");
             ui.checkbox(&mut self.calibration, "Marked axes")
                 .on_hover_text(
                     "A map with red +X, green +Y and blue +Z, to see how a program turns it",

@@ -7,7 +7,7 @@ use eframe::egui;
 
 use super::editing::undoable;
 use super::lamps::{LABELS, fit_sliders};
-use crate::app::{Shared, theme};
+use crate::app::Shared;
 use crate::worker::{Latest, Purpose};
 use rekindle_relight::ProbeUnits;
 use rekindle_studio::{Document, Probe, ProbeLight};
@@ -35,7 +35,7 @@ impl Probes {
             Ok(light) => {
                 let file = light.file().to_owned();
                 document.know_probe(light);
-                document.edit("Replace the light", |s, _| {
+                document.edit("Load light probe", |s, _| {
                     let look = s.look_mut();
                     match &mut look.probe {
                         Some(probe) => probe.file = file,
@@ -56,7 +56,6 @@ pub(super) fn show(
     probes: &Probes,
     shared: &mut Shared<'_>,
 ) {
-    theme::group(ui, "Surroundings");
     fit_sliders(ui);
     let (look, base) = (document.look().clone(), document.base().clone());
     egui::Grid::new("surroundings")
@@ -84,7 +83,7 @@ pub(super) fn show(
                 ui.label("");
                 let mut remainder = look.remainder;
                 let response = ui.checkbox(&mut remainder, "Stray light").on_hover_text(
-                    "Weak light of the estimate that belongs to no lamp; a light probe replaces it",
+                    "Weak light of the estimate that belongs to none of them; a light probe replaces it",
                 );
                 undoable(document, &response, "Stray light", |s, _| {
                     s.look_mut().remainder = remainder;
@@ -113,13 +112,13 @@ fn probe_ui(
             ui.weak("Reading");
             return;
         }
-        let tip = "Light the object by a lat-long picture, .hdr or .exr, in place of the lamps";
+        let tip = "Light the object by a lat-long picture, .hdr or .exr, in place of the lights";
         if ui.button("Choose…").on_hover_text(tip).clicked() {
             let start = probe.and_then(|p| p.file.parent());
             shared.worker.pick(Purpose::LightProbe, start);
         }
         if probe.is_some() {
-            let tip = "Take the light probe away; the lamps stay as they are";
+            let tip = "Take the light probe away; the lights stay as they are";
             if ui.button("Remove").on_hover_text(tip).clicked() {
                 document.edit("Remove the light probe", |s, _| s.look_mut().probe = None);
             }

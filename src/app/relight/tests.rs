@@ -5,11 +5,14 @@ use std::time::{Duration, Instant};
 
 use eframe::egui::{self, Modifiers, Pos2, vec2};
 use egui_kittest::Harness;
-use egui_kittest::kittest::Queryable as _;
+use egui_kittest::kittest::{NodeT as _, Queryable as _};
 use glam::Vec3;
 
 use crate::app::{App, Start};
 use crate::worker::Source;
+use rekindle_estimate::estimate::Diagnostics;
+use rekindle_estimate::registration::Correction;
+use rekindle_solution::Solution;
 use rekindle_studio::fixtures::solution;
 use rekindle_studio::{Document, LampId};
 
@@ -113,6 +116,7 @@ fn export(window: &mut Window, folder: &Path) -> Vec<u8> {
     window.run_steps(2);
     click(window, "Choose folder…");
     give_path(window, folder);
+    click(window, "Export");
     wait(window, "the export", |_| {
         std::fs::read_dir(folder).is_ok_and(|d| {
             d.flatten()
@@ -268,6 +272,7 @@ fn every_setting_of_a_lamp_is_a_step() {
     click(&mut window, "Temperature");
     set(&mut window, "Colour temperature", 3000.0);
     window.run_steps(3);
+    click(&mut window, "Surroundings");
     set(&mut window, "Ambient", 0.5);
     window.run_steps(3);
     click(&mut window, "Solo Light 1");
@@ -276,9 +281,9 @@ fn every_setting_of_a_lamp_is_a_step() {
     key(&mut window, Modifiers::NONE, egui::Key::Delete);
     key(&mut window, Modifiers::NONE, egui::Key::A);
     assert_eq!(document(&window).look().lamps.len(), 4);
-    click(&mut window, "Edit look");
-    click(&mut window, "Duplicate look");
-    assert_eq!(document(&window).state().active, 1);
+    click(&mut window, "Edit setup");
+    click(&mut window, "Duplicate setup");
+    assert_eq!(document(&window).state().active, 2);
     key(&mut window, Modifiers::NONE, egui::Key::L);
     assert_eq!(document(&window).state().active, 0);
     let mut steps = Vec::new();
@@ -306,6 +311,7 @@ fn a_light_probe_replaces_the_light_and_can_be_turned() {
         .collect();
     rekindle_solution::write_rgb(&probe, 64, &pixels).expect("written");
     let mut window = window(&saved_solution(folder.path()));
+    click(&mut window, "Surroundings");
     click(&mut window, "Choose…");
     give_path(&mut window, &probe);
     wait_for(&mut window, "Remove");
@@ -336,8 +342,9 @@ fn an_export_is_stopped_and_leaves_nothing() {
     click(&mut window, "Choose folder…");
     let target = folder.path().join("film");
     give_path(&mut window, &target);
+    click(&mut window, "Export");
     wait(&mut window, "progress", |w| {
-        w.query_all_by_label_contains("Exporting bumps_0")
+        w.query_all_by_label_contains("Exporting bumps Captured light_0")
             .next()
             .is_some()
     });
@@ -347,7 +354,7 @@ fn an_export_is_stopped_and_leaves_nothing() {
 }
 
 #[test]
-fn other_programs_get_the_light_of_the_look_that_is_shown() {
+fn other_programs_get_the_light_of_the_setup_that_is_shown() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut window = window(&saved_solution(folder.path()));
     click(&mut window, "Mute Light 2");
@@ -358,10 +365,11 @@ fn other_programs_get_the_light_of_the_look_that_is_shown() {
     );
     wait_for(&mut window, "Export for other programs");
     click(&mut window, "Mitsuba 3");
-    click(&mut window, "One for each lamp");
+    click(&mut window, "One for each light");
     click(&mut window, "Choose folder…");
     let target = folder.path().join("programs");
     give_path(&mut window, &target);
+    click(&mut window, "Export");
     wait_for(&mut window, "Exported");
     let read = |name: &str| std::fs::read_to_string(target.join(name)).expect(name);
     let lamps = read("lights.csv");
@@ -370,4 +378,290 @@ fn other_programs_get_the_light_of_the_look_that_is_shown() {
     assert!(target.join("light_3.exr").exists() && !target.join("light_2.exr").exists());
     assert!(target.join("object.glb").exists() && !target.join("mitsuba.xml").exists());
     assert!(read("README.txt").contains("object.glb"));
+}
+
+#[test]
+fn the_captured_light_stays_and_is_compared_with_by_one_key() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    assert!(window.query_by_label("Setup 1").is_none());
+    click(&mut window, "Light 2");
+    set(&mut window, "Intensity", 1.5);
+    // The first change began a setup; the captured light is as it was.
+    assert!(window.query_by_label("Setup 1").is_some());
+    let captured = document(&window).state().looks[0].clone();
+    assert_eq!(
+        document(&window).light_of(&captured).lighting,
+        solution().lighting()
+    );
+    let shown = |w: &Window| document(w).look().name.clone();
+    assert_eq!(shown(&window), "Setup 1");
+    key(&mut window, Modifiers::NONE, egui::Key::C);
+    assert_eq!(shown(&window), "Captured light");
+    key(&mut window, Modifiers::NONE, egui::Key::C);
+    assert_eq!(shown(&window), "Setup 1");
+    assert_eq!(document(&window).undo_label(), Some("Intensity of Light 2"));
+    // One light goes back, the others stay as they are.
+    click(&mut window, "Mute Light 1");
+    click(&mut window, "Reset light");
+    assert_eq!(document(&window).undo_label(), Some("Reset Light 2"));
+    assert_eq!(lamp(&window, 1), captured.lamps[1]);
+    assert!(lamp(&window, 0).muted);
+    // All of it can be undone.
+    for _ in 0..3 {
+        key(&mut window, Modifiers::COMMAND, egui::Key::Z);
+    }
+    assert!(window.query_by_label("Setup 1").is_none());
+    assert!(!document(&window).is_modified());
+}
+
+#[test]
+fn ready_made_setups_are_applied_by_one_click() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    for (name, lights) in [
+        ("Three-point", 3),
+        ("Soft box", 2),
+        ("Rim", 3),
+        ("Ring", 8),
+        ("Window", 7),
+        ("Golden hour", 2),
+    ] {
+        click(&mut window, "Add setup");
+        click(&mut window, name);
+        let look = document(&window).look();
+        assert_eq!((look.name.as_str(), look.lamps.len()), (name, lights));
+        assert_eq!(document(&window).undo_label(), Some("Add setup"));
+    }
+    assert_eq!(document(&window).state().looks.len(), 7);
+}
+
+fn has_part(window: &Window, part: &str) -> bool {
+    window.query_all_by_label_contains(part).next().is_some()
+}
+
+#[test]
+fn the_result_card_says_what_a_solve_is_worth_and_what_to_do() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let good = saved_solution(folder.path());
+    let mut solution = Solution::load(&good).expect("a solution");
+    solution.diagnostics = Diagnostics {
+        well_posed: false,
+        specular_found: true,
+        warnings: vec!["The view 2 contradicts the others. Check its camera.".to_owned()],
+    };
+    solution.sigma_interval95 = Some([0.08, 0.13]);
+    solution.fit.psnr_db_per_view = vec![41.23, 22.5];
+    let turned = Correction {
+        turn_deg: [0.0, 0.25, 0.0],
+        ..Correction::default()
+    };
+    solution.corrections = vec![Correction::default(), turned];
+    let doubtful = folder.path().join("doubtful");
+    solution.save(&doubtful).expect("saved");
+
+    // A doubt opens the card; it stays until it is closed, and comes back by its button.
+    let mut window = window(&doubtful);
+    for part in [
+        "The view 2 contradicts the others.",
+        "Check its camera.",
+        "0.0800 to 0.1300 rad",
+        "it was made so",
+        "camera turned by 0.25°",
+        "Difference at view 1, 41.2 dB",
+        "Difference at view 2, 22.5 dB",
+    ] {
+        assert!(has_part(&window, part), "{part}");
+    }
+    window.check_accessibility();
+    click(&mut window, "Close the result");
+    assert!(!has_part(&window, "Check its camera."));
+    click(&mut window, "Result: Doubtful");
+    assert!(has_part(&window, "Check its camera."));
+    drop(window);
+
+    // Without lamps it failed, and says so.
+    solution.diagnostics.specular_found = false;
+    let failed = folder.path().join("failed");
+    solution.save(&failed).expect("saved");
+    let window = self::window(&failed);
+    assert!(has_part(&window, "No lights were recovered."));
+    assert!(has_part(&window, "Failed"));
+}
+
+#[test]
+fn many_lights_are_listed_by_what_they_contribute() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    let row = |w: &Window, name: &str| w.get_by_label(name).rect();
+    let described = |w: &Window, name: &str| {
+        let node = w.get_by_label(name);
+        node.accesskit_node().description().expect("a description")
+    };
+    assert!(row(&window, "Light 1").top() < row(&window, "Light 2").top());
+    click(&mut window, "Light 2");
+    let intensity = |w: &Window| {
+        w.get_by_role_and_label(egui::Role::SpinButton, "Intensity")
+            .rect()
+    };
+    let pinned = intensity(&window);
+    set(&mut window, "Intensity", 4.0);
+    assert!(row(&window, "Light 2").top() < row(&window, "Light 1").top());
+    let share = described(&window, "Light 2");
+    assert!(
+        share.contains("left") && share.contains("% of the light"),
+        "{share}"
+    );
+    // The list scrolls by itself; the settings stay where they are.
+    for _ in 0..20 {
+        key(&mut window, Modifiers::NONE, egui::Key::A);
+    }
+    assert!(row(&window, "Light 23").bottom() < pinned.top());
+    window.hover_at(row(&window, "Light 23").center());
+    window.event(egui::Event::MouseWheel {
+        unit: egui::MouseWheelUnit::Point,
+        delta: vec2(0.0, -2000.0),
+        phase: egui::TouchPhase::Move,
+        source: egui::MouseWheelSource::Wheel,
+        modifiers: Modifiers::NONE,
+    });
+    window.run_steps(20);
+    assert!(row(&window, "Light 3").bottom() < pinned.top());
+    click(&mut window, "Light 3");
+    assert_eq!(intensity(&window), pinned);
+    // Marks are as large as their lights are strong.
+    let relighting = window.state().relighting.as_ref().expect("a page");
+    let radius = |id: u32| super::hemisphere::mark_radius(&relighting.document, &lamp(&window, id));
+    assert!(radius(1) > 1.5 * radius(2));
+    window.check_accessibility();
+}
+
+#[test]
+fn the_palette_says_why_a_command_cannot_be_given() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    key(&mut window, Modifiers::COMMAND, egui::Key::P);
+    window
+        .get_by_label("Find a command")
+        .type_text("solo light");
+    window.run_steps(2);
+    let row = window.get_by_label_contains("Solo light");
+    assert!(row.accesskit_node().is_disabled());
+    assert!(has_part(&window, "Select a light first."));
+    // Enter does nothing with it.
+    key(&mut window, Modifiers::NONE, egui::Key::Enter);
+    assert!(has_part(&window, "Select a light first."));
+    key(&mut window, Modifiers::NONE, egui::Key::Escape);
+    click(&mut window, "Light 2");
+    key(&mut window, Modifiers::COMMAND, egui::Key::P);
+    window
+        .get_by_label("Find a command")
+        .type_text("solo light");
+    window.run_steps(2);
+    key(&mut window, Modifiers::NONE, egui::Key::Enter);
+    assert_eq!(document(&window).look().solo, Some(LampId(1)));
+}
+
+/// Names of the files in a folder, in order.
+fn files(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).expect("a folder").flatten();
+    let mut names: Vec<String> = entries
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn exports_are_named_asked_about_and_remembered() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    let target = folder.path().join("pictures");
+    export(&mut window, &target);
+    wait_for(&mut window, "Exported");
+    // The name says whose picture it is and in which light.
+    assert_eq!(files(&target), ["bumps Captured light.png"]);
+    window.get_by_label("Open folder").click();
+    let opens = |command: &egui::OutputCommand| match command {
+        egui::OutputCommand::OpenUrl(url) => url.url.ends_with("/pictures"),
+        _ => false,
+    };
+    let opened = (0..4).any(|_| {
+        window.step();
+        window.output().platform_output.commands.iter().any(opens)
+    });
+    assert!(opened, "the folder is shown");
+
+    // Folder and size are as they were; how long it takes is known now; what is there is asked about.
+    key(&mut window, Modifiers::COMMAND, egui::Key::E);
+    wait(&mut window, "the cost", |w| {
+        has_part(w, "One picture, 0.0 megapixels, at most 1 MB; about ")
+    });
+    click(&mut window, "Export");
+    wait_for(&mut window, "A file of this name is in the folder already.");
+    click(&mut window, "Keep both");
+    wait(&mut window, "a second file", |_| files(&target).len() == 2);
+    wait(&mut window, "its end", |w| w.state().job.is_none());
+    let before = std::fs::metadata(target.join("bumps Captured light.png")).expect("there");
+    key(&mut window, Modifiers::COMMAND, egui::Key::E);
+    window.run_steps(3);
+    click(&mut window, "Export");
+    click(&mut window, "Replace");
+    wait(&mut window, "its end", |w| w.state().job.is_none());
+    assert_eq!(files(&target).len(), 2);
+    let after = std::fs::metadata(target.join("bumps Captured light.png")).expect("there");
+    assert!(after.modified().expect("a time") > before.modified().expect("a time"));
+
+    // Another setup has another name, and one that is typed is taken.
+    click(&mut window, "Mute Light 1");
+    key(&mut window, Modifiers::COMMAND, egui::Key::E);
+    window.run_steps(3);
+    let name = window.get_by_role_and_label(egui::Role::TextInput, "Name");
+    assert_eq!(name.value().as_deref(), Some("bumps Setup 1"));
+    name.focus();
+    window.run_steps(2);
+    key(&mut window, Modifiers::COMMAND, egui::Key::A);
+    let name = window.get_by_role_and_label(egui::Role::TextInput, "Name");
+    name.type_text("evening/2");
+    window.run_steps(3);
+    click(&mut window, "Export");
+    wait(&mut window, "its end", |w| w.state().job.is_none());
+    assert!(
+        files(&target).contains(&"evening_2.png".to_owned()),
+        "{:?}",
+        files(&target)
+    );
+}
+
+#[test]
+fn a_stopped_export_keeps_the_frames_that_were_finished() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    key(&mut window, Modifiers::COMMAND, egui::Key::E);
+    wait_for(&mut window, "Choose folder…");
+    click(&mut window, "A turn around the object");
+    set(&mut window, "Width", 200.0);
+    set(&mut window, "Height", 150.0);
+    set(&mut window, "Frames", 900.0);
+    click(&mut window, "Choose folder…");
+    let target = folder.path().join("film");
+    give_path(&mut window, &target);
+    assert!(has_part(&window, "900 pictures, 27.0 megapixels"));
+    click(&mut window, "Export");
+    wait(&mut window, "a second frame", |w| {
+        has_part(w, "Exporting bumps Captured light_0002")
+    });
+    assert!(has_part(&window, "Progress of the export"));
+    click(&mut window, "Stop");
+    wait_for(&mut window, "Export stopped");
+    let kept = files(&target);
+    assert!(
+        kept.len() >= 2
+            && kept
+                .iter()
+                .all(|f| Path::new(f).extension().is_some_and(|x| x == "png")),
+        "{kept:?}"
+    );
+    let said = format!("Files of finished pictures that were kept: {}.", kept.len());
+    assert!(has_part(&window, &said));
 }

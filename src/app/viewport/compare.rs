@@ -47,6 +47,16 @@ impl Kind {
         Self::Difference,
     ];
 
+    /// Which light it shows.
+    pub fn light(self) -> &'static str {
+        match self {
+            Self::Object => "in the light of the setup",
+            Self::Photo => "as photographed",
+            Self::Render => "rendered in the captured light",
+            Self::Wipe | Self::Difference => "photograph and rendering in the captured light",
+        }
+    }
+
     /// Its name and what it shows.
     pub fn words(self) -> (&'static str, &'static str) {
         match self {

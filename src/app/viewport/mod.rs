@@ -8,7 +8,7 @@ mod histogram;
 use std::sync::Arc;
 
 use eframe::egui::{
-    self, Align2, Button, Color32, Pos2, Rect, RichText, Sense, TextureHandle, TextureOptions, vec2,
+    self, Align2, Button, Color32, Pos2, Rect, Sense, TextureHandle, TextureOptions, vec2,
 };
 use glam::{DVec2, DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -22,7 +22,7 @@ use display::{Display, Linear};
 use eframe::egui_wgpu::RenderState;
 use gpu::GpuPicture;
 use histogram::Histogram;
-use rekindle_capture::{Camera, Capture, Mesh};
+use rekindle_capture::{Camera, Capture, Mesh, View};
 use rekindle_relight::{Lighting, ShadingPoint};
 use rekindle_relight::{ViewTransform, luminance};
 use rekindle_render::{Background, FrameRequest, Mode, RenderError};
@@ -39,6 +39,9 @@ const STEP: f32 = 0.5;
 const MOST_STOPS: f32 = 12.0;
 /// Height of the bar below the picture, points.
 const BAR: f32 = 40.0;
+/// Width from which that bar has room for everything in one row, without the graphics card's modes and with them, points.
+const WIDE: f32 = 620.0;
+const WIDE_GPU: f32 = 900.0;
 
 /// What the reference renderer was asked for.
 const FREE: u64 = 0;
@@ -54,12 +57,13 @@ pub struct Viewport {
     look: Look,
     gpu: Option<GpuPicture>,
     /// Why the graphics card doesn't draw, once it has failed, and whether that was told.
-    failure: Option<(RenderError, bool)>,
+    failure: Option<(Failure, bool)>,
     /// Radiance that is white at no stops.
     white: f32,
     compare: Compare,
-    /// Whether a comparison can be made: not while the estimation runs.
-    comparable: bool,
+    photographs: Photographs,
+    /// Whether the photographs are asked for.
+    wishes_photographs: bool,
     shots: u64,
     wanted: Option<Wanted>,
     shown: Option<Shown>,
@@ -74,6 +78,25 @@ pub struct Viewport {
     built: Arc<Latest<Occluder>>,
     /// Camera and place of the picture that was drawn last.
     last: Option<(Camera, Rect)>,
+}
+
+/// What is known of the photographs to compare with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Photographs {
+    /// Nothing is compared, as while the estimation runs.
+    Unused,
+    /// They could be compared with, were they known.
+    Missing,
+    /// They can be compared with.
+    Known,
+}
+
+/// Why the graphics card doesn't draw.
+enum Failure {
+    /// Its driver lacks what the live view needs.
+    Unable,
+    /// It began, and then failed.
+    Drawing(RenderError),
 }
 
 /// How the object is shown.
@@ -165,17 +188,17 @@ pub struct Scene<'a, F> {
 }
 
 impl Viewport {
-    /// A view of an object, with the cameras of a capture.
+    /// A view of an object, with the cameras of a capture, or, where that is not known, those that a solution kept.
     pub fn new(object: Object, up: Vec3, capture: Option<&Arc<Capture>>) -> Self {
-        let views = capture.map_or(&[][..], |capture| &capture.views);
-        let first = views.first().map(|v| &v.camera);
+        let cameras = match (capture, &object) {
+            (None, Object::Solution(solution)) => solution.cameras.clone(),
+            (Some(capture), _) | (None, Object::Capture(capture)) => cameras_of(capture),
+        };
+        let first = cameras.first().map(|(_, camera)| camera);
         Self {
             navigation: Navigation::new(object.mesh(), up.as_dvec3(), first),
             capture: capture.cloned(),
-            cameras: views
-                .iter()
-                .map(|v| (v.name.clone(), v.camera.clone()))
-                .collect(),
+            cameras,
             at: None,
             look: Look {
                 exposure: 0.0,
@@ -189,7 +212,8 @@ impl Viewport {
             failure: None,
             white: 1.0,
             compare: Compare::default(),
-            comparable: false,
+            photographs: Photographs::Unused,
+            wishes_photographs: false,
             shots: 0,
             wanted: None,
             shown: None,
@@ -239,6 +263,11 @@ impl Viewport {
         self.cameras.len()
     }
 
+    /// Index of the input camera that is looked through.
+    pub fn at(&self) -> Option<usize> {
+        self.at
+    }
+
     /// Names and input cameras.
     pub fn named_cameras(&self) -> &[(String, Camera)] {
         &self.cameras
@@ -270,18 +299,52 @@ impl Viewport {
         self.white = white;
     }
 
-    /// What went wrong with the graphics card, once.
-    pub fn take_failure(&mut self) -> Option<String> {
+    /// What went wrong with the graphics card, once: a title and what it means.
+    pub fn take_failure(&mut self) -> Option<(&'static str, String)> {
         let (failure, told) = self.failure.as_mut().filter(|(_, told)| !told)?;
         *told = true;
-        Some(format!(
-            "{failure}. The reference renderer shows the object at reduced size meanwhile; all lights are kept."
-        ))
+        Some(match failure {
+            Failure::Unable => (
+                "A slower preview is shown",
+                "This graphics driver can't run the live view. A slower preview is shown; install a Vulkan driver for \
+                 real-time relighting."
+                    .to_owned(),
+            ),
+            Failure::Drawing(error) => (
+                "Drawing failed on the graphics card",
+                format!("{error}. A slower preview is shown meanwhile; all lights are kept."),
+            ),
+        })
     }
 
     /// Allows the comparison with the photographs: the subject is a solution.
     pub fn allow_comparison(&mut self) {
-        self.comparable = self.capture.is_some();
+        self.photographs = match self.capture {
+            Some(_) => Photographs::Known,
+            None => Photographs::Missing,
+        };
+    }
+
+    /// Takes photographs that were located.
+    pub fn set_photographs(&mut self, capture: Arc<Capture>) {
+        self.cameras = cameras_of(&capture);
+        self.capture = Some(capture);
+        self.allow_comparison();
+        if self.at.is_some_and(|at| at >= self.cameras.len()) {
+            self.at = None;
+        }
+        self.compare.go_to(None, None);
+        self.compare.go_to(self.capture.as_ref(), self.at);
+    }
+
+    /// Whether photographs could be compared with, were they known.
+    pub fn lacks_photographs(&self) -> bool {
+        self.photographs == Photographs::Missing
+    }
+
+    /// Whether the photographs are to be located, once.
+    pub fn take_wish(&mut self) -> bool {
+        std::mem::take(&mut self.wishes_photographs)
     }
 
     /// Carries out a command about the view.
@@ -308,9 +371,17 @@ impl Viewport {
         if let Some((_, there)) = self.cameras.get(camera) {
             self.navigation.jump_to(there);
             self.at = Some(camera);
-            if self.comparable {
+            if self.photographs == Photographs::Known {
                 self.compare.go_to(self.capture.as_ref(), self.at);
             }
+        }
+    }
+
+    /// Goes to an input camera and shows there where photograph and rendering differ, if the photographs are known.
+    pub fn show_difference(&mut self, camera: usize) {
+        self.go_to(camera);
+        if self.photographs == Photographs::Known {
+            self.compare.kind = Kind::Difference;
         }
     }
 
@@ -420,10 +491,12 @@ impl Viewport {
         let bar = egui::Frame::new()
             .fill(ui.visuals().panel_fill)
             .inner_margin(egui::Margin::symmetric(theme::MARGIN, 6));
+        let needed = if self.gpu.is_some() { WIDE_GPU } else { WIDE };
+        let narrow = ui.available_width() < needed;
         egui::Panel::bottom("view bar")
             .frame(bar)
-            .exact_size(BAR)
-            .show(ui, |ui| self.bar_ui(ui));
+            .exact_size(if narrow { 2.0 * BAR - 8.0 } else { BAR })
+            .show(ui, |ui| self.bar_ui(ui, narrow));
         self.prepare(scene.worker);
         let rect = ui.available_rect_before_wrap();
         let response = ui.allocate_rect(rect, Sense::CLICK | Sense::DRAG);
@@ -503,8 +576,12 @@ impl Viewport {
                 true
             }
             Err(error) => {
-                self.failure = Some((error, false));
-                self.gpu = None;
+                // What fails at once is the driver's limits, whose numbers tell a user nothing.
+                let failure = match self.gpu.take() {
+                    Some(_) => Failure::Drawing(error),
+                    None => Failure::Unable,
+                };
+                self.failure = Some((failure, false));
                 ui.ctx().request_repaint();
                 false
             }
@@ -760,39 +837,62 @@ impl Viewport {
             return;
         };
         let mut text = name.clone();
-        if self.compare.kind != Kind::Object
-            && let Some(psnr) = self.compare.psnr()
-        {
-            text = format!("{text}   {psnr:.2} dB");
+        if self.compares() {
+            text = format!("{text}, {}", self.compare.kind.light());
+            if let Some(psnr) = self.compare.psnr() {
+                text = format!("{text}, {psnr:.2} dB");
+            }
         }
-        ui.painter_at(rect).text(
+        let drawn = ui.painter_at(rect).text(
             rect.left_top() + vec2(12.0, 10.0),
             Align2::LEFT_TOP,
-            text,
+            &text,
             egui::TextStyle::Body.resolve(ui.style()),
             theme::ON_STAGE,
         );
+        let response = ui.interact(drawn, ui.scope_id().with("what is shown"), Sense::HOVER);
+        response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Label, true, &text));
     }
 
     /// Whether a photograph and its rendering are shown instead of the object.
-    fn compares(&self) -> bool {
+    pub fn compares(&self) -> bool {
         self.compare.kind != Kind::Object && self.compare.is_possible()
     }
 
-    /// The bar below the picture.
-    fn bar_ui(&mut self, ui: &mut egui::Ui) {
+    /// The bar below the picture, in two rows where it is narrow.
+    fn bar_ui(&mut self, ui: &mut egui::Ui, narrow: bool) {
+        let right = egui::Layout::right_to_left(egui::Align::Center);
+        if narrow {
+            ui.horizontal(|ui| {
+                self.camera_ui(ui);
+                self.mode_ui(ui);
+                self.refining_ui(ui, "…");
+                ui.with_layout(right, |ui| self.extras_ui(ui));
+            });
+            ui.horizontal(|ui| {
+                ui.with_layout(right, |ui| self.exposure_ui(ui));
+            });
+            return;
+        }
         ui.horizontal_centered(|ui| {
             self.camera_ui(ui);
             self.mode_ui(ui);
-            // Beside a photograph the graphics card rests.
-            if !self.compares() && self.gpu.as_ref().is_some_and(|gpu| !gpu.is_settled()) {
-                ui.weak("Refining…")
-                    .on_hover_text("Light is being baked, or the still picture made better");
-            }
-            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+            self.refining_ui(ui, "Refining…");
+            ui.with_layout(right, |ui| {
+                self.extras_ui(ui);
                 self.exposure_ui(ui);
             });
         });
+    }
+
+    /// Says, by a text that fits, that the picture is not final yet.
+    fn refining_ui(&self, ui: &mut egui::Ui, text: &str) {
+        // Beside a photograph the graphics card rests.
+        if !self.compares() && self.gpu.as_ref().is_some_and(|gpu| !gpu.is_settled()) {
+            ui.weak(text)
+                .accessible_name("Refining…")
+                .on_hover_text("Light is being baked, or the still picture made better");
+        }
     }
 
     /// Chooses what of the object is shown.
@@ -813,7 +913,7 @@ impl Viewport {
                 "The light that arrives, interreflection included",
             ),
             Mode::Normals => ("Normals", "Shading normals in the world, (n + 1)/2"),
-            Mode::Shadow(_) => ("Shadow", "What the surface sees of the selected lamp"),
+            Mode::Shadow(_) => ("Shadow", "What the surface sees of the selected light"),
             Mode::Confidence => ("Confidence", "How far the texture is known"),
             Mode::Roughness => (
                 "Roughness",
@@ -853,7 +953,8 @@ impl Viewport {
 
     /// Chooses what is shown at an input camera, over the picture's head.
     fn kinds_ui(&mut self, ui: &mut egui::Ui, rect: Rect) {
-        if !self.compare.is_possible() {
+        let missing = self.lacks_photographs() && self.at.is_some();
+        if !self.compare.is_possible() && !missing {
             return;
         }
         let place = Rect::from_min_size(rect.left_top() + vec2(8.0, 34.0), vec2(420.0, 34.0));
@@ -866,6 +967,12 @@ impl Viewport {
             frame.show(ui, |ui| {
                 ui.horizontal(|ui| {
                     ui.spacing_mut().item_spacing.x = 2.0;
+                    if missing {
+                        let locate = ui.button("Locate photographs…");
+                        let tip = "Choose the capture's folder, to compare with its photographs";
+                        self.wishes_photographs |= locate.on_hover_text(tip).clicked();
+                        return;
+                    }
                     for kind in Kind::ALL {
                         let (name, tip) = kind.words();
                         ui.selectable_value(&mut self.compare.kind, kind, name)
@@ -904,19 +1011,23 @@ impl Viewport {
         }
     }
 
-    fn exposure_ui(&mut self, ui: &mut egui::Ui) {
+    fn extras_ui(&mut self, ui: &mut egui::Ui) {
         ui.toggle_value(&mut self.look.histogram, "Histogram")
             .on_hover_text("How often each brightness occurs, by channel, in stops from white (I)");
+        if self.gpu.is_some() {
+            ui.toggle_value(&mut self.look.lit_background, "Show light")
+                .on_hover_text("Show the lighting itself behind the object");
+        }
+    }
+
+    fn exposure_ui(&mut self, ui: &mut egui::Ui) {
         let mut colour = self.look.background;
         let picker = ui.color_edit_button_srgb(&mut colour);
         picker
-            .on_hover_text("Background colour")
+            .on_hover_text("What is behind the object")
             .accessible_name("Background colour");
+        ui.label("Background");
         self.look.background = colour;
-        if self.gpu.is_some() {
-            ui.toggle_value(&mut self.look.lit_background, "Light")
-                .on_hover_text("Show the lighting itself behind the object");
-        }
         egui::ComboBox::from_id_salt("view transform")
             .selected_text(self.look.transform.name())
             .width(110.0)
@@ -928,8 +1039,7 @@ impl Viewport {
             .response
             .on_hover_text("From linear radiance to the screen")
             .accessible_name("View transform");
-        let reset = Button::new(RichText::new("0").monospace()).small();
-        let reset = ui.add_enabled(self.look.exposure != 0.0, reset);
+        let reset = ui.add_enabled(self.look.exposure != 0.0, Button::new("Reset"));
         let tip = "Back to no stops (R)";
         if reset
             .on_hover_text(tip)
@@ -948,4 +1058,10 @@ impl Viewport {
         .on_hover_text("Exposure in stops (E, Shift+E)")
         .accessible_name("Exposure");
     }
+}
+
+/// Names and cameras of a capture's views.
+fn cameras_of(capture: &Capture) -> Vec<(String, Camera)> {
+    let named = |v: &View| (v.name.clone(), v.camera.clone());
+    capture.views.iter().map(named).collect()
 }

@@ -119,6 +119,42 @@ impl Job {
         free.unwrap_or(self)
     }
 
+    /// How many of its files are in its folder already.
+    pub fn there_already(&self) -> usize {
+        let files = self.files();
+        files.filter(|file| self.folder.join(file).exists()).count()
+    }
+
+    /// Bytes that its files have at most, whatever the pictures show.
+    pub fn most_bytes(&self) -> u64 {
+        /// Bytes of a channel of an EXR file.
+        const FLOAT: u64 = 4;
+        /// Channels of the picture, of the layers beside it, and of a light group.
+        const PICTURE: u64 = 4;
+        const LAYERS: u64 = 19;
+        const GROUP: u64 = 3;
+        let shown = 3 + u64::from(self.background.is_none());
+        let depth = |depth| match depth {
+            Depth::Eight => 1,
+            Depth::Sixteen => 2,
+        };
+        let of = |shot: &Shot| {
+            let pixels = u64::from(shot.camera.width) * u64::from(shot.camera.height);
+            let layers = if self.layers { LAYERS } else { 0 };
+            // A group for each lamp, and one for all other light.
+            let groups = if self.light_groups {
+                GROUP * (shot.lighting.lamps.iter().filter(|l| !l.muted).count() as u64 + 1)
+            } else {
+                0
+            };
+            let exr = u64::from(self.exr) * FLOAT * (PICTURE + layers + groups);
+            let png = self.png.map_or(0, depth) * shown;
+            let film = u64::from(self.animation.is_some()) * shown;
+            pixels * (exr + png + film)
+        };
+        self.shots.iter().map(of).sum()
+    }
+
     fn renamed(&self, number: u32) -> Self {
         let mut job = self.clone();
         let add = |name: &mut String| *name = format!("{name} {number}");

@@ -360,11 +360,51 @@ fn an_export_beside_others_replaces_none() {
         ..job(folder.path(), renderer.original())
     };
     let name = format!("{}.png", wanted.shots[0].stem);
+    assert_eq!(wanted.there_already(), 0);
     for count in 1..=3 {
         run(&renderer, &wanted.clone().beside_others()).unwrap();
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), count);
     }
     assert!(folder.path().join(name).exists());
+    assert_eq!(wanted.there_already(), 1);
+}
+
+#[test]
+fn files_are_no_larger_than_was_said() {
+    /// Room for what stands in front of the pixels, bytes.
+    const HEADERS: u64 = 16_000;
+    let solution = solution();
+    let renderer = Renderer::new(&solution);
+    let one = job(Path::new(""), renderer.original());
+    for wanted in [
+        Job {
+            png: Some(Depth::Sixteen),
+            ..one.clone()
+        },
+        Job {
+            exr: true,
+            ..one.clone()
+        },
+        Job {
+            exr: true,
+            layers: true,
+            light_groups: true,
+            ..one
+        },
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let wanted = Job {
+            folder: folder.path().to_owned(),
+            ..wanted
+        };
+        run(&renderer, &wanted).unwrap();
+        let files = fs::read_dir(folder.path()).unwrap();
+        let bytes: u64 = files.map(|f| f.unwrap().metadata().unwrap().len()).sum();
+        let most = wanted.most_bytes();
+        assert!(bytes <= most + HEADERS, "{bytes} of {most}");
+        // And it says something: a picture of noise would come near it.
+        assert!(10 * bytes > most, "{bytes} of {most}");
+    }
 }
 
 #[test]

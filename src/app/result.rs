@@ -1,0 +1,333 @@
+//! The result card: what a solve is worth and why. It stays beside the estimation and the relighting.
+
+use eframe::egui::{self, RichText, ScrollArea, vec2};
+
+use super::theme::{self, Mark};
+use super::{Request, Shared};
+use rekindle_estimate::estimate::Diagnostics;
+use rekindle_estimate::registration::{Correction, describe};
+use rekindle_solution::Solution;
+
+/// Width of the card, points.
+const WIDE: f32 = 300.0;
+/// The picture of a view that comes out with this many dB is right for the eye: its bar is full.
+const FULL_DB: f32 = 50.0;
+
+/// What a solve is worth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// The data determine roughness and lights.
+    Good,
+    /// So they do, and there is something to know.
+    Noted,
+    /// Something contradicts the result.
+    Doubtful,
+    /// No lights were found.
+    Failed,
+}
+
+impl Verdict {
+    /// The verdict that diagnostics come to.
+    pub fn of(diagnostics: &Diagnostics) -> Self {
+        match diagnostics {
+            d if !d.specular_found => Self::Failed,
+            d if !d.well_posed => Self::Doubtful,
+            d if !d.warnings.is_empty() => Self::Noted,
+            _ => Self::Good,
+        }
+    }
+
+    /// Whether a user has to look at it before going on.
+    pub fn asks_for_a_look(self) -> bool {
+        matches!(self, Self::Doubtful | Self::Failed)
+    }
+
+    /// Its name, its mark and what it means.
+    pub fn words(self) -> (&'static str, Mark, &'static str) {
+        match self {
+            Self::Good => (
+                "Good",
+                Mark::Good,
+                "The photographs determine roughness and lights.",
+            ),
+            Self::Noted => (
+                "Good, with notes",
+                Mark::Good,
+                "The photographs determine roughness and lights.",
+            ),
+            Self::Doubtful => (
+                "Doubtful",
+                Mark::Warning,
+                "Something contradicts roughness and lights; see below what, and what to do.",
+            ),
+            Self::Failed => (
+                "Failed",
+                Mark::Error,
+                "No lights were recovered. The object has its colours, but no highlights; lights can still be added.",
+            ),
+        }
+    }
+}
+
+/// The button that opens the card, while it is closed.
+pub(super) fn button(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<'_>) {
+    if shared.settings.result {
+        return;
+    }
+    let (name, mark, meaning) = Verdict::of(&solution.diagnostics).words();
+    let text = RichText::new(format!("Result: {name}")).color(mark.colour(ui));
+    let tip = format!("{meaning} Shows the result card");
+    if ui.button(text).on_hover_text(tip).clicked() {
+        shared.settings.result = true;
+    }
+}
+
+/// Shows the card at the right of a page, if it is open.
+pub(super) fn panel(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<'_>) {
+    if !shared.settings.result {
+        return;
+    }
+    egui::Panel::right("result")
+        .frame(theme::side(ui))
+        .resizable(false)
+        .exact_size(WIDE)
+        .show(ui, |ui| {
+            head_ui(ui, solution, shared);
+            ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                // Room for the scroll bar.
+                ui.set_max_width(ui.available_width() - 10.0);
+                doubts_ui(ui, solution);
+                surface_ui(ui, solution);
+                corrections_ui(ui, solution);
+                views_ui(ui, solution, shared);
+            });
+        });
+}
+
+fn head_ui(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<'_>) {
+    let (name, mark, meaning) = Verdict::of(&solution.diagnostics).words();
+    ui.horizontal(|ui| {
+        mark.show(ui);
+        ui.label(RichText::new(name).strong().color(mark.colour(ui)));
+        ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+            let tip = "Hide the card; a button in its place brings it back";
+            if theme::close_button(ui, "Close the result", tip).clicked() {
+                shared.settings.result = false;
+            }
+        });
+    });
+    ui.label(meaning);
+    ui.add_space(theme::GAP * 0.5);
+}
+
+/// What a user should know, each with what to do.
+fn doubts_ui(ui: &mut egui::Ui, solution: &Solution) {
+    let diagnostics = &solution.diagnostics;
+    // Corrections have a group of their own.
+    let corrected = describe(&solution.corrections);
+    let told = diagnostics.warnings.iter();
+    let told: Vec<&String> = told.filter(|w| !corrected.contains(w)).collect();
+    if told.is_empty() {
+        return;
+    }
+    let mark = if Verdict::of(diagnostics).asks_for_a_look() {
+        Mark::Warning
+    } else {
+        Mark::Note
+    };
+    theme::group(ui, "What to know");
+    for warning in told {
+        let (what, remedy) = first_sentence(warning);
+        theme::card(ui).inner_margin(8).show(ui, |ui| {
+            ui.set_width(ui.available_width());
+            ui.horizontal_top(|ui| {
+                mark.show(ui);
+                ui.vertical(|ui| {
+                    ui.label(what);
+                    if !remedy.is_empty() {
+                        ui.weak(remedy);
+                    }
+                });
+            });
+        });
+    }
+    ui.add_space(theme::GAP * 0.5);
+}
+
+/// A text's first sentence, which says what is the matter, and the others, which say why and what to do.
+fn first_sentence(text: &str) -> (&str, &str) {
+    let begins = |rest: &str| rest.chars().next().is_some_and(char::is_uppercase);
+    let end = text
+        .match_indices(". ")
+        .find(|(at, _)| begins(&text[at + 2..]));
+    end.map_or((text, ""), |(at, _)| (&text[..=at], &text[at + 2..]))
+}
+
+/// Roughness with its interval, the lobe and the reason for it, and how much is left.
+fn surface_ui(ui: &mut egui::Ui, solution: &Solution) {
+    theme::group(ui, "Surface and lights");
+    let mut rows = Vec::new();
+    rows.push(("Surface", solution.surface_in_words()));
+    if let Some(brdf) = solution.brdf {
+        rows.push(("σ", format!("{:.4} rad", brdf.sigma)));
+        if let Some([low, high]) = solution.sigma_interval95 {
+            rows.push(("95 % interval", format!("{low:.4} to {high:.4} rad")));
+        }
+        rows.push(("Lobe", brdf.model.name().to_owned()));
+        if !solution.chosen_because.is_empty() {
+            rows.push(("Chosen", solution.chosen_because.clone()));
+        }
+    }
+    rows.push(("Lights", solution.lamps.len().to_string()));
+    if let Some(misfit) = solution.fit.misfit {
+        let left = format!("{:.1} % beyond noise", 100.0 * misfit);
+        rows.push(("Unexplained", left));
+    }
+    facts(ui, rows);
+}
+
+/// Names with values; long ones are wrapped.
+fn facts(ui: &mut egui::Ui, rows: Vec<(&str, String)>) {
+    const NAMES: f32 = 88.0;
+    for (name, value) in rows {
+        ui.horizontal_top(|ui| {
+            let left = egui::Layout::left_to_right(egui::Align::Min);
+            ui.allocate_ui_with_layout(vec2(NAMES, 0.0), left, |ui| {
+                ui.set_min_width(NAMES);
+                ui.weak(name);
+            });
+            ui.vertical(|ui| ui.add(egui::Label::new(value).wrap()));
+        });
+    }
+    ui.add_space(theme::GAP * 0.5);
+}
+
+fn corrections_ui(ui: &mut egui::Ui, solution: &Solution) {
+    theme::group(ui, "Corrections to cameras and exposures");
+    let numbered = solution.corrections.iter().enumerate();
+    let rows: Vec<(String, String)> = numbered
+        .filter_map(|(i, c)| Some((format!("View {}", i + 1), correction(c)?)))
+        .collect();
+    if rows.is_empty() {
+        ui.label("None: all are taken as stated.");
+        ui.add_space(theme::GAP * 0.5);
+        return;
+    }
+    let named = rows.iter();
+    let named = named.map(|(name, text)| (name.as_str(), text.clone()));
+    facts(ui, named.collect());
+}
+
+/// What was corrected about a view, if anything was.
+fn correction(correction: &Correction) -> Option<String> {
+    /// Percent below which a change of exposure is not worth a word.
+    const LEAST: f64 = 0.05;
+    let mut parts = Vec::new();
+    if correction.turns() {
+        let [x, y, z] = correction.turn_deg;
+        let degrees = x.hypot(y).hypot(z);
+        parts.push(format!("camera turned by {degrees:.2}°"));
+    }
+    let percent = 100.0 * (correction.exposure - 1.0);
+    if percent.abs() >= LEAST {
+        let word = if percent > 0.0 { "brighter" } else { "darker" };
+        parts.push(format!("{:.1} % {word} than most", percent.abs()));
+    }
+    let tint = correction.balance.iter().map(|b| (b - 1.0).abs());
+    let tint = 100.0 * tint.fold(0.0, f64::max);
+    if tint >= LEAST {
+        parts.push(format!("white balance off by {tint:.1} %"));
+    }
+    (!parts.is_empty()).then(|| parts.join(", "))
+}
+
+/// How well each photograph is reproduced; a click shows where it isn't.
+fn views_ui(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<'_>) {
+    let views = &solution.fit.psnr_db_per_view;
+    if views.is_empty() {
+        return;
+    }
+    theme::group(ui, "Photographs reproduced")
+        .on_hover_text("Peak signal-to-noise ratio of the rendering against the photograph: 30 dB show differences when looked for, 40 dB hardly any");
+    for (i, &db) in views.iter().enumerate() {
+        if view_ui(ui, i, db).clicked() {
+            shared.actions.push(Request::ShowDifference(i));
+        }
+    }
+}
+
+fn view_ui(ui: &mut egui::Ui, i: usize, db: f32) -> egui::Response {
+    let size = vec2(ui.available_width(), 22.0);
+    let (rect, response) = ui.allocate_exact_size(size, egui::Sense::click());
+    let palette = theme::palette(ui);
+    let hovered = response.hovered() || response.has_focus();
+    let colour = if hovered {
+        palette.accent
+    } else {
+        palette.weak
+    };
+    let painter = ui.painter_at(rect);
+    let font = egui::TextStyle::Body.resolve(ui.style());
+    let text = ui.visuals().text_color();
+    let left = rect.left_center();
+    let view = format!("View {}", i + 1);
+    painter.text(left, egui::Align2::LEFT_CENTER, view, font.clone(), text);
+    let value = format!("{db:.1} dB");
+    let right = rect.right_center();
+    painter.text(right, egui::Align2::RIGHT_CENTER, value, font, text);
+    let bar = egui::Rect::from_min_max(
+        rect.left_center() + vec2(64.0, -3.0),
+        rect.right_center() + vec2(-64.0, 3.0),
+    );
+    painter.rect_filled(bar, 3.0, palette.line);
+    let mut full = bar;
+    full.set_width(bar.width() * (db / FULL_DB).clamp(0.0, 1.0));
+    painter.rect_filled(full, 3.0, colour);
+    let name = format!("Difference at view {}, {db:.1} dB", i + 1);
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, name.clone()));
+    response.on_hover_text("Show where photograph and rendering differ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn verdicts_follow_from_what_the_data_say() {
+        let mut found = Diagnostics {
+            well_posed: true,
+            specular_found: true,
+            warnings: Vec::new(),
+        };
+        assert_eq!(Verdict::of(&found), Verdict::Good);
+        found.warnings.push("The surface is a metal's.".to_owned());
+        assert_eq!(Verdict::of(&found), Verdict::Noted);
+        found.well_posed = false;
+        assert_eq!(Verdict::of(&found), Verdict::Doubtful);
+        found.specular_found = false;
+        assert_eq!(Verdict::of(&found), Verdict::Failed);
+    }
+
+    #[test]
+    fn a_warning_is_told_from_its_remedy() {
+        let text = "Normals are off by 1.5° or more. Use a smoother mesh. It helps.";
+        let told = (
+            "Normals are off by 1.5° or more.",
+            "Use a smoother mesh. It helps.",
+        );
+        assert_eq!(first_sentence(text), told);
+        assert_eq!(first_sentence("All is well."), ("All is well.", ""));
+    }
+
+    #[test]
+    fn corrections_are_told_in_words() {
+        assert_eq!(correction(&Correction::default()), None);
+        let both = Correction {
+            turn_deg: [0.0, 0.3, 0.4],
+            exposure: 0.92,
+            ..Correction::default()
+        };
+        let text = correction(&both).expect("two corrections");
+        assert_eq!(text, "camera turned by 0.50°, 8.0 % darker than most");
+    }
+}
