@@ -14,7 +14,7 @@ use rekindle_base::memory::peak;
 use rekindle_base::staging::check_holds_no_input;
 use rekindle_capture::{Capture, input_files};
 use rekindle_estimate::estimate::{EstimateParams, Iteration, Method, Observer, SpecularChoice};
-use rekindle_scene::reflectance::SpecularModel;
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::Shortcut;
 use rekindle_solution::{Solution, SolveOptions, check_destination, origin, solve};
 
@@ -33,6 +33,10 @@ pub(super) struct SolveArgs {
     options: EstimationArgs,
 }
 
+/// Roughnesses that can be stated: a smoother surface is a mirror, whose highlights no picture resolves, and a rougher one has none.
+const LEAST_ROUGHNESS: f32 = 0.07;
+const MOST_ROUGHNESS: f32 = 0.9;
+
 /// How the estimation is done.
 #[derive(clap::Args)]
 pub(super) struct EstimationArgs {
@@ -42,6 +46,9 @@ pub(super) struct EstimationArgs {
     /// Form of the specular lobe: the paper's, microfacets with Beckmann's or GGX's slopes, a metal's, or whichever fits
     #[arg(long, value_enum, default_value_t = SpecularArg::Auto)]
     specular: SpecularArg,
+    /// Roughness of the surface as Blender and others call it, 0 to 1, where it is known (default: estimated)
+    #[arg(long, value_parser = roughness, allow_negative_numbers = true)]
+    roughness: Option<f32>,
     /// Parts into which each edge of the lights' icosahedron is divided
     #[arg(long, default_value_t = 70, value_parser = clap::value_parser!(u32).range(1..=200))]
     frequency: u32,
@@ -139,6 +146,7 @@ impl Default for EstimationArgs {
         Self {
             method: MethodArg::Fast,
             specular: SpecularArg::Auto,
+            roughness: None,
             frequency: 70,
             radius: None,
             as_stated: false,
@@ -157,6 +165,11 @@ impl EstimationArgs {
                 self.frequency
             );
         }
+        if self.roughness.is_some() && !matches!(self.method, MethodArg::Fast) {
+            bail!(
+                "--roughness is for the default method: the reference methods estimate it. Leave one of both out"
+            );
+        }
         Ok(())
     }
 
@@ -171,6 +184,7 @@ impl EstimationArgs {
                     SpecularArg::Metal => SpecularChoice::Model(SpecularModel::Metal),
                     SpecularArg::Auto => SpecularChoice::Auto,
                 },
+                sigma: self.roughness.map(Brdf::sigma_of),
                 as_stated: self.as_stated,
                 avoided: self
                     .do_all
@@ -181,6 +195,15 @@ impl EstimationArgs {
             frequency: self.frequency,
             radius: self.radius,
         }
+    }
+}
+
+fn roughness(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if (LEAST_ROUGHNESS..=MOST_ROUGHNESS).contains(&value) => Ok(value),
+        _ => Err(format!(
+            "it must be a number from {LEAST_ROUGHNESS} to {MOST_ROUGHNESS}"
+        )),
     }
 }
 

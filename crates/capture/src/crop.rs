@@ -61,8 +61,11 @@ impl Kept {
         }
         let kept = photograph.about_object();
         let most = self.at_most().unwrap_or(usize::MAX);
-        let block = (1..).find(|block| kept.usable.len() / (block * block) <= most);
-        kept.in_blocks(block.unwrap_or(1))
+        let fits = |block: &usize| kept.usable.len() / (block * block) <= most;
+        match (1..).find(fits) {
+            None | Some(1) => kept,
+            Some(block) => kept.in_blocks(block),
+        }
     }
 }
 
@@ -99,6 +102,23 @@ impl Capture {
     }
 }
 
+impl View {
+    /// The same with one pixel for each block of `block` × `block`, for questions that need no more.
+    #[must_use]
+    pub fn in_blocks(&self, block: u32) -> Self {
+        let mut camera = self.camera.clone();
+        camera.width /= block;
+        camera.height /= block;
+        camera.focal /= f64::from(block);
+        camera.centre /= f64::from(block);
+        Self {
+            name: self.name.clone(),
+            photograph: Arc::new(self.photograph.in_blocks(block as usize)),
+            camera,
+        }
+    }
+}
+
 /// What there is to say of views of which blocks of pixels are kept.
 pub(super) fn note(views: &[View]) -> Option<String> {
     let blocks = views.iter().filter_map(|view| view.photograph.crop);
@@ -112,10 +132,7 @@ pub(super) fn note(views: &[View]) -> Option<String> {
 
 impl Photograph {
     /// The means over blocks of so many pixels along each side; what can't be used of a block spoils it.
-    fn in_blocks(self, block: usize) -> Self {
-        if block == 1 {
-            return self;
-        }
+    fn in_blocks(&self, block: usize) -> Self {
         let [width, height] = [self.width as usize, self.height as usize].map(|side| side / block);
         let pixels = |i: usize| {
             let first = i / width * block * self.width as usize + i % width * block;
@@ -146,7 +163,7 @@ impl Photograph {
             radiance: all().map(mean).collect(),
             coverage: self.coverage.as_ref().map(covered),
             crop: Some(Crop {
-                block: block as u32,
+                block: block as u32 * crop.block,
                 ..crop
             }),
             usable,

@@ -152,6 +152,20 @@ impl Brdf {
         }
     }
 
+    /// What other programs call roughness: the root of the slopes' width α = √2 σ, at most 1; 1 where nothing is reflected.
+    pub fn roughness(&self) -> f32 {
+        if self.strength > 0.0 {
+            (std::f32::consts::SQRT_2 * self.sigma).min(1.0).sqrt()
+        } else {
+            1.0
+        }
+    }
+
+    /// σ of a roughness as other programs call it, radians.
+    pub fn sigma_of(roughness: f32) -> f32 {
+        roughness * roughness * std::f32::consts::FRAC_1_SQRT_2
+    }
+
     /// The lobe of a part with another gloss, where this is the main one.
     #[inline(always)]
     #[must_use]

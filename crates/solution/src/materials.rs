@@ -1,6 +1,5 @@
 //! The surface in words: its lobe, and the parts whose gloss differs.
 
-use std::f32::consts::SQRT_2;
 use std::fmt::Write as _;
 
 use super::Solution;
@@ -19,13 +18,9 @@ pub struct SurfacePart {
 }
 
 impl SurfacePart {
-    /// Roughness as other programs call it: the root of the lobe's width α = √2 σ, at most 1; 1 where nothing is reflected.
+    /// See [`Brdf::roughness`].
     pub fn roughness(&self) -> f32 {
-        if self.brdf.strength > 0.0 {
-            (SQRT_2 * self.brdf.sigma).min(1.0).sqrt()
-        } else {
-            1.0
-        }
+        self.brdf.roughness()
     }
 
     /// Whether it reflects at all.

@@ -29,9 +29,6 @@ pub fn parts(parts: &GlossParts, sigma: f32) -> String {
 /// Fewer surface points seen by two views than this are no basis for an estimate.
 const FEWEST_POINTS: usize = 60;
 
-/// Gain in the squared residual per lit cell, over the noise's, below which lights are fitted to noise.
-const LEAST_SIGNIFICANCE: f64 = 8.0;
-
 /// Share of the squared differences between views that lights must explain.
 pub const LEAST_EXPLAINED: f64 = 0.15;
 
@@ -92,21 +89,6 @@ pub fn unseparable(capture: &Capture, observations: &Observations) -> Option<Str
     })
 }
 
-/// Why the differences between views are no highlights, if they aren't.
-pub fn no_specular(state: &State<'_>) -> Option<String> {
-    let rows = state.residuals.values.len() as f64;
-    let lit = state
-        .radiance
-        .iter()
-        .filter(|l| l.iter().any(|&v| v > 0.0))
-        .count() as f64;
-    let (dark, left) = (state.dark_objective(), state.objective());
-    let explained = 1.0 - left / dark.max(f64::MIN_POSITIVE);
-    let significance = (dark - left) / lit.max(1.0) / (left / rows).max(f64::MIN_POSITIVE);
-    (lit == 0.0 || explained < LEAST_EXPLAINED || significance < LEAST_SIGNIFICANCE)
-        .then(|| NO_SPECULAR.to_owned())
-}
-
 /// What is said of a metal.
 pub const METAL: &str = "The surface reflects as a metal does. Its colour can't be told from that of the light, which is taken as white: \
     new light is coloured as the captured lighting is.";
@@ -115,15 +97,17 @@ pub const METAL: &str = "The surface reflects as a metal does. Its colour can't 
 pub const ENDED_EARLY: &str =
     "The estimation was ended before it had settled: roughness and lights are preliminary.";
 
-/// What is said where the light has no detail.
-const NO_DETAIL: &str = "The lighting has no detail sharp enough to tell its own blur from the surface's roughness, as under a uniform \
-    sky. Everything is taken as diffuse; add a lamp or photograph under light with an edge.";
+/// What is said where any smoother surface would do as well.
+pub const BOUND: &str = "The lighting has no detail sharp enough to tell its own blur from the surface's roughness, as under a wide \
+    window or sky: the surface may be smoother than it was taken for, and the lights then wider. The roughest surface that the \
+    photographs allow was taken. State the roughness if you know it, or add a lamp.";
 
-/// Why a coarse fit's lobe is no highlight, if it isn't: any other would do about as well, or it spans the hemisphere.
-pub fn not_sharp(coarse: &CoarseFit<'_>) -> Option<String> {
+/// Whether a coarse fit leaves open how smooth the surface is: no roughness stands out, or its lights are so broad, or its lobe,
+/// that a smoother surface does as well.
+pub fn is_open(coarse: &CoarseFit<'_>) -> bool {
     let broad = coarse.state.brdf.sigma > WIDEST_LOBE;
     let open = || coarse.state.light_extent() > BROAD_LIGHT && !determines_roughness(&coarse.state);
-    (broad || coarse.sharpness < LEAST_SHARPNESS || open()).then(|| NO_DETAIL.to_owned())
+    broad || coarse.sharpness < LEAST_SHARPNESS || open()
 }
 
 /// Whether a coarse fit leaves so much that the gloss may differ from place to place.
@@ -266,8 +250,8 @@ fn turn_per_pixel(seen: &Seen<'_>) -> f32 {
     median(&mut turns)
 }
 
-/// Why roughness and lighting are not determined by a fit, if they aren't.
-pub fn undetermined(fit: &Fit) -> Option<String> {
+/// Whether a fit leaves σ open.
+pub fn is_undetermined(fit: &Fit) -> bool {
     let relative = fit.sigma_error / fit.brdf.sigma;
-    (!relative.is_finite() || relative > LARGEST_RELATIVE_ERROR).then(|| NO_DETAIL.to_owned())
+    !relative.is_finite() || relative > LARGEST_RELATIVE_ERROR
 }

@@ -131,6 +131,8 @@ pub struct Solver<'a> {
     pub shortcuts: &'a Shortcuts,
     /// Memory for its equations.
     pub workspace: &'a Workspace,
+    /// σ where it is stated, radians.
+    pub sigma: Option<f32>,
     /// Set once the observer wants no more.
     pub stop: &'a AtomicBool,
 }
@@ -218,10 +220,12 @@ impl Solver<'_> {
             (1.0 / NEAR_RATIO..NEAR_RATIO).contains(&ratio)
         };
         let thrifty = self.shortcuts.takes(Shortcut::Roughnesses);
-        let sigmas: Vec<f32> = (SIGMAS.into_iter().enumerate())
+        let worth = (SIGMAS.into_iter().enumerate())
             .filter(|&(k, sigma)| !thrifty || k == 0 || is_near(sigma))
-            .map(|(_, sigma)| sigma)
-            .collect();
+            .map(|(_, sigma)| sigma);
+        let sigmas: Vec<f32> = self
+            .sigma
+            .map_or_else(|| worth.collect(), |sigma| vec![sigma]);
         let mut best: Option<(f64, State<'_>)> = None;
         let mut broadest = None;
         let mut worse = 0;
@@ -253,7 +257,7 @@ impl Solver<'_> {
                 break;
             }
         }
-        let left_out = SIGMAS.len() - tried;
+        let left_out = SIGMAS.len().saturating_sub(tried);
         self.shortcuts
             .count(Shortcut::Roughnesses, SIGMAS.len(), left_out);
         let (cost, state) = best.unwrap_or((f64::INFINITY, dark));
@@ -374,7 +378,10 @@ impl Solver<'_> {
         watch: &mut Watch<'_>,
     ) -> Result<Fit, Stopped> {
         let widened = step.clustered_error / step.error;
-        let by_noise = state.settle_sigma(step, EXACT);
+        let by_noise = match self.sigma {
+            Some(_) => 0.0,
+            None => state.settle_sigma(step, EXACT),
+        };
         drop_satellites(&mut state);
         drop_unsupported_in_the_end(&mut state);
         let state = even_out(self, state, observations);
@@ -417,7 +424,7 @@ impl Solver<'_> {
             if precision.looks_around {
                 state.light_missed(precision);
             }
-            let mut step = state.sigma_step();
+            let mut step = self.sigma_step(state);
             self.report(state, watch)?;
             let sigma = f64::from(state.brdf.sigma);
             let limit = 0.3 * sigma;
@@ -427,7 +434,7 @@ impl Solver<'_> {
             }
             let is_small = |change: f64| round > 0 && change.abs() < SETTLED * sigma;
             if (is_small(change) || round + 1 == rounds) && state.light_missed(precision) {
-                step = state.sigma_step();
+                step = self.sigma_step(state);
                 change = step.step.clamp(-limit, limit);
             }
             if is_small(change) {
@@ -438,6 +445,15 @@ impl Solver<'_> {
             state.brdf.sigma = (sigma + change).clamp(0.003, 1.0) as f32;
         }
         Ok(None)
+    }
+
+    /// The step of σ, which stays as it is where it is stated.
+    fn sigma_step(&self, state: &State<'_>) -> SigmaStep {
+        let mut step = state.sigma_step();
+        if self.sigma.is_some() {
+            step.step = 0.0;
+        }
+        step
     }
 
     /// [`Solver::improve`] without anybody told.

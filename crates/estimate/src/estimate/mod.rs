@@ -6,6 +6,7 @@
 
 mod alternating;
 pub mod cells;
+mod course;
 pub mod design;
 mod diagnose;
 mod ellipse;
@@ -13,6 +14,7 @@ mod exposures;
 mod fast;
 mod gloss;
 mod gram;
+mod held_out;
 mod lamps;
 pub mod lobes;
 mod merging;
@@ -36,24 +38,25 @@ mod tests;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::registration;
-use rekindle_capture::Capture;
+use rekindle_capture::{Capture, View};
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
-use rekindle_scene::shortcuts::{LeftOut, Shortcut, ShortcutSet, Shortcuts};
+use rekindle_scene::shortcuts::{LeftOut, ShortcutSet, Shortcuts};
 use rekindle_scene::surface::{GlossParts, Occluder, ViewSurface};
 
 use alternating::{Order, Terms};
 use cells::Pyramid;
-use fast::{CoarseFit, Fit, Solver, Watch};
+use course::{Ending, Outcome, Rules};
+use fast::{Fit, Solver, Watch};
 use observations::Seen;
 pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 pub use observer::{Watcher, watched};
-use relief::Bench;
 pub use relief::RefinedSurface;
-use suspects::{SURE, Suspicion, left, signed_ranks};
+use suspects::Suspicion;
 use workspace::Workspace;
 
 /// How the minimum is sought.
@@ -88,6 +91,8 @@ pub struct EstimateParams {
     pub method: Method,
     /// The specular model.
     pub specular: SpecularChoice,
+    /// σ of the lobe in radians, where it is stated; it is estimated otherwise.
+    pub sigma: Option<f32>,
     /// Whether cameras and exposures are taken as the capture states them, even where they do not fit each other.
     pub as_stated: bool,
     /// Shortcuts that are not taken: what they leave out is done.
@@ -178,7 +183,16 @@ pub fn estimate(
 ) -> Result<Estimate, Stopped> {
     watched(observer, |watcher| {
         let shortcuts = Shortcuts::without(params.avoided);
-        let mut result = run(input, params, &shortcuts, watcher, Start::default())?;
+        let mut result = match Reduced::of(input) {
+            Some(reduced) => run(
+                &reduced.input(input),
+                params,
+                &shortcuts,
+                watcher,
+                Start::default(),
+            ),
+            None => run(input, params, &shortcuts, watcher, Start::default()),
+        }?;
         result.left_out = shortcuts.counted();
         // What long sums give after a stop is of no use.
         if watcher.stop().load(Ordering::Relaxed) {
@@ -188,14 +202,50 @@ pub fn estimate(
     })
 }
 
+/// Pixels of the object in the largest of the views from which on these are looked at in fewer: lights of pictures with 0.1 to 12
+/// megapixels come out the same, and what a mesh is off by is fewer pixels then.
+const MOST_PIXELS: usize = 400_000;
+
+/// A capture with fewer pixels than it was given with.
+struct Reduced {
+    capture: Capture,
+    surfaces: Vec<ViewSurface>,
+}
+
+impl Reduced {
+    /// Where the views of `input` have more pixels than lights need.
+    fn of(input: &EstimateInput<'_>) -> Option<Self> {
+        let object = |surface: &ViewSurface| surface.interior.iter().filter(|&&i| i).count();
+        let largest = input.surfaces.iter().map(object).max().unwrap_or(0);
+        let factor = (largest as f64 / MOST_PIXELS as f64).sqrt().ceil() as u32;
+        if factor < 2 {
+            return None;
+        }
+        let views = input.capture.views.iter();
+        let views: Vec<View> = views.map(|view| view.in_blocks(factor)).collect();
+        let see = |view: &View| ViewSurface::new(&input.capture.mesh, input.occluder, &view.camera);
+        Some(Self {
+            surfaces: views.par_iter().map(see).collect(),
+            capture: Capture {
+                views,
+                ..input.capture.clone()
+            },
+        })
+    }
+
+    fn input<'a>(&'a self, of: &EstimateInput<'a>) -> EstimateInput<'a> {
+        EstimateInput {
+            capture: &self.capture,
+            surfaces: &self.surfaces,
+            ..*of
+        }
+    }
+}
+
 /// Half the 95 % interval of σ in standard errors. Were the model exact and rows independent it would be 1.96; with
 /// photographs' pixels, meshes and interpolation in between, 1.96 held the truth in half of 120 made captures. This, chosen on
 /// 60, held it in 92.5, 97 and 98.5 % of 200 each with 0.3, 1 and 3 % of noise (`rekindle study --only coverage`).
 const HALF_INTERVAL: f32 = 5.5;
-
-/// A specular model that leaves so many times as much as another at the best of a few roughnesses is not improved. In 67
-/// captures, rendered and made, the true model left less there every time; improving both turned that round once.
-const CLEARLY_LESS: f64 = 1.25;
 
 /// Rounds in which the lights found and the views' exposures take turns.
 const MOST_ROUNDS: usize = 3;
@@ -248,6 +298,7 @@ fn run(
         started: start.clock,
         shortcuts,
         workspace: &workspace,
+        sigma: params.sigma,
         stop,
     };
     let mut result = Estimate {
@@ -273,155 +324,37 @@ fn run(
         iterations: &mut result.convergence,
         observer,
     };
-    let (coarse, because) = choose(&solver, params.specular, &SpecularModel::ALL, &mut watch)?;
-    let patches = patches(&solver, &coarse, params.specular, &mut watch)?;
-    let parted = patches.as_ref().map(|parts| solver.parted(parts));
-    let on_patches = match &parted {
-        Some(solver) => Some(choose(
-            solver,
-            params.specular,
-            &SpecularModel::ALL,
-            &mut watch,
-        )?),
-        None => None,
+    let evens = !params.as_stated && start.rounds < MOST_ROUNDS;
+    let rules = Rules {
+        choice: params.specular,
+        exposures: evens.then_some(start.rounds > 0),
     };
-    let (solver, coarse, because) = match (&parted, on_patches) {
-        (Some(parted), Some((fit, because))) if explains_better(&fit, &coarse) => {
-            (parted, fit, because)
+    match course::run(&solver, rules, &mut watch)? {
+        Outcome::Nothing(reason) => result.diagnostics.warnings.push(reason),
+        Outcome::Found(ending) => {
+            let ended = watch.observer.enough();
+            accept(&mut result, &solver, *ending);
+            if ended {
+                let warnings = &mut result.diagnostics.warnings;
+                warnings.push(diagnose::ENDED_EARLY.to_owned());
+            }
         }
-        _ => (&solver, coarse, because),
-    };
-    let refused = diagnose::no_specular(&coarse.state).or_else(|| diagnose::not_sharp(&coarse));
-    if let Some(reason) = refused {
-        result.diagnostics.warnings.push(reason);
-        return Ok(result);
-    }
-    let views = input.capture.views.len();
-    if !params.as_stated
-        && start.rounds < MOST_ROUNDS
-        && let Some(factors) = exposures::differing(&coarse.state, views, start.rounds > 0)
-    {
-        let evened = registration::evened(input.capture, &factors);
-        let start = Start {
-            clock: solver.started,
-            convergence: result.convergence,
-            exposures: exposures::together(&result.exposures, factors),
-            rounds: start.rounds + 1,
-        };
-        let input = EstimateInput {
-            capture: &evened,
-            ..*input
-        };
-        return run(&input, params, shortcuts, watcher, start);
-    }
-    let ending = end(solver, &coarse, because, params.specular, &mut watch)?;
-    let ended = watch.observer.enough();
-    result.chosen_because = ending.because;
-    result.refined = ending.refined;
-    accept(&mut result, solver, ending.fit, ending.suspicion.as_ref());
-    if ended {
-        let warnings = &mut result.diagnostics.warnings;
-        warnings.push(diagnose::ENDED_EARLY.to_owned());
+        Outcome::Exposures(factors) => {
+            let evened = registration::evened(input.capture, &factors);
+            let start = Start {
+                clock: solver.started,
+                convergence: result.convergence,
+                exposures: exposures::together(&result.exposures, factors),
+                rounds: start.rounds + 1,
+            };
+            let input = EstimateInput {
+                capture: &evened,
+                ..*input
+            };
+            return run(&input, params, shortcuts, watcher, start);
+        }
     }
     Ok(result)
-}
-
-/// What a coarse fit comes to.
-struct Ending {
-    fit: Fit,
-    because: String,
-    refined: Option<RefinedSurface>,
-    suspicion: Option<Suspicion>,
-}
-
-/// Goes on from a coarse fit, chosen `because`, to the end, on a refined surface where the mesh is too coarse or noisy.
-fn end(
-    solver: &Solver<'_>,
-    coarse: &CoarseFit<'_>,
-    because: String,
-    choice: SpecularChoice,
-    watch: &mut Watch<'_>,
-) -> Result<Ending, Stopped> {
-    let refined = if diagnose::doubts_normals(&coarse.state) {
-        relief::refine(solver, coarse, choice, watch)?
-    } else {
-        None
-    };
-    let on_refined = match &refined {
-        Some(surface) => fit_on(surface, solver, coarse, choice, watch)?,
-        None => None,
-    };
-    let (fit, because, refined) = match on_refined {
-        Some((fit, because)) => (fit, because, refined),
-        None => (finish(solver, coarse, watch)?, because, None),
-    };
-    let suspicion = if !watch.observer.enough() && diagnose::is_middling(&fit.misfit) {
-        solver.suspicion(&coarse.state)?
-    } else {
-        None
-    };
-    Ok(Ending {
-        fit,
-        because,
-        refined,
-        suspicion,
-    })
-}
-
-/// Parts of the surface by the strength of their gloss, where one strength for all leaves so much that there may be some, and
-/// many strengths clearly less.
-fn patches(
-    solver: &Solver<'_>,
-    coarse: &CoarseFit<'_>,
-    choice: SpecularChoice,
-    watch: &mut Watch<'_>,
-) -> Result<Option<GlossParts>, Stopped> {
-    if !diagnose::leaves_much(&coarse.state) || watch.observer.enough() {
-        return Ok(None);
-    }
-    let Some(strengths) = solver.strengths(watch)? else {
-        return Ok(None);
-    };
-    let parted = solver.parted(&strengths);
-    let (fit, _) = choose(&parted, choice, &SpecularModel::ALL, watch)?;
-    if !explains_better(&fit, coarse) {
-        return Ok(None);
-    }
-    Ok(parted.gloss_parts(&fit.state).map(|(parts, _)| parts))
-}
-
-/// Whether one coarse fit leaves so much less than another that it is worth more unknowns.
-fn explains_better(one: &CoarseFit<'_>, other: &CoarseFit<'_>) -> bool {
-    one.unexplained < gloss::WORTH * other.unexplained
-}
-
-/// The fit on a refined surface, with the reason for its specular model; `None` unless it explains more than
-/// `coarse`, the coarse fit on the solver's own surface, beyond chance.
-fn fit_on(
-    surface: &RefinedSurface,
-    solver: &Solver<'_>,
-    coarse: &CoarseFit<'_>,
-    choice: SpecularChoice,
-    watch: &mut Watch<'_>,
-) -> Result<Option<(Fit, String)>, Stopped> {
-    let bench = Bench::new(&surface.mesh, solver.seen.views);
-    let refined = bench.solver(solver, &surface.mesh);
-    let (again, because) = choose(&refined, choice, &SpecularModel::ALL, watch)?;
-    if signed_ranks(&left(&coarse.state), &left(&again.state)) <= SURE {
-        return Ok(None);
-    }
-    Ok(Some((finish(&refined, &again, watch)?, because)))
-}
-
-/// Goes on from a coarse fit to the end.
-fn finish(
-    solver: &Solver<'_>,
-    coarse: &CoarseFit<'_>,
-    watch: &mut Watch<'_>,
-) -> Result<Fit, Stopped> {
-    let lobe = coarse.state.brdf.model;
-    watch.observer.interim(Interim::Lobe(lobe));
-    solver.fine_fit(&coarse.state, watch)
 }
 
 /// Runs one of the paper's reference methods; the paper's lobe is theirs unless another is asked for.
@@ -457,29 +390,36 @@ fn alternate(
     Ok(())
 }
 
-/// Takes over a fit if the data determine it.
-fn accept(result: &mut Estimate, solver: &Solver<'_>, fit: Fit, suspicion: Option<&Suspicion>) {
-    if let Some(reason) = diagnose::undetermined(&fit) {
-        result.diagnostics.warnings.push(reason);
-        return;
-    }
+/// Takes over what was found, with what is to be said of it.
+fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
+    let Ending {
+        fit,
+        because,
+        refined,
+        suspicion,
+        is_bound,
+    } = ending;
     let sigma = fit.brdf.sigma;
-    let half_width = HALF_INTERVAL * fit.sigma_error;
-    let mut interval = [sigma - half_width, sigma + half_width];
     let by_noise = HALF_INTERVAL * fit.noise_error / sigma;
-    let suspicion = suspicion.filter(|s| diagnose::is_worth_saying(s, &fit.misfit, by_noise));
-    if let Some(suspicion) = suspicion {
-        // Under the other assumption it would be another.
-        let other = suspicion.sigma_ratio * sigma;
-        interval = [interval[0].min(other), interval[1].max(other)];
-    }
+    let suspicion = suspicion
+        .as_ref()
+        .filter(|s| diagnose::is_worth_saying(s, &fit.misfit, by_noise));
+    let is_bound = is_bound || diagnose::is_undetermined(&fit);
+    result.chosen_because = because;
+    result.refined = refined;
+    result.sigma_interval95 = match solver.sigma {
+        Some(_) => None,
+        None if is_bound => Some([0.0, sigma]),
+        None => Some(interval(&fit, suspicion)),
+    };
+    let open = is_bound.then(|| diagnose::BOUND.to_owned());
     let stated = solver.near.map(|(_, radius)| radius);
     // A cause that has a name is said in place of what it leaves.
     let misfit = match suspicion {
         Some(suspicion) => Some(diagnose::suspicion(suspicion, stated, solver.seen.views)),
         None => diagnose::misfit(&fit.misfit),
     };
-    let doubts = [misfit, diagnose::unresolved(&solver.seen, &fit)];
+    let doubts = [open, misfit, diagnose::unresolved(&solver.seen, &fit)];
     result.diagnostics.well_posed = doubts.iter().all(Option::is_none);
     let refined = result.refined.as_ref().map(diagnose::refined);
     let metal = (fit.brdf.model == SpecularModel::Metal).then(|| diagnose::METAL.to_owned());
@@ -488,61 +428,23 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, fit: Fit, suspicion: Optio
     result.diagnostics.warnings.extend(warnings);
     result.misfit = Some(fit.misfit.share);
     result.diagnostics.specular_found = true;
-    result.sigma_interval95 = Some(interval.map(|end| end.max(0.0)));
     result.brdf = Some(fit.brdf);
-    result.radiance = fit.nodes;
     if let Some(parts) = &fit.parts {
         result.chosen_because += &diagnose::parts(parts, sigma);
     }
+    result.radiance = fit.nodes;
     result.parts = fit.parts;
 }
 
-/// The coarse fit of the model asked for, or of the one `among` others that leaves least, with the reason in words; the paper's
-/// is always tried. Those that leave clearly more from the start are not improved.
-fn choose<'s>(
-    solver: &'s Solver<'_>,
-    choice: SpecularChoice,
-    among: &[SpecularModel],
-    watch: &mut Watch<'_>,
-) -> Result<(CoarseFit<'s>, String), Stopped> {
-    if let SpecularChoice::Model(model) = choice {
-        let mut fit = solver.compare_sigmas(model, None, watch)?;
-        solver.improve_coarse(&mut fit, watch)?;
-        return Ok((fit, "it was asked for".to_owned()));
+/// The 95 % interval of σ.
+fn interval(fit: &Fit, suspicion: Option<&Suspicion>) -> [f32; 2] {
+    let sigma = fit.brdf.sigma;
+    let half_width = HALF_INTERVAL * fit.sigma_error;
+    let mut interval = [sigma - half_width, sigma + half_width];
+    if let Some(suspicion) = suspicion {
+        // Under the other assumption it would be another.
+        let other = suspicion.sigma_ratio * sigma;
+        interval = [interval[0].min(other), interval[1].max(other)];
     }
-    let mut fits = vec![solver.compare_sigmas(SpecularModel::Paper, None, watch)?];
-    if watch.observer.enough() {
-        let because = "it was the only one tried before the end".to_owned();
-        return Ok((fits.remove(0), because));
-    }
-    let near = Some(fits[0].state.brdf.sigma);
-    for &model in among.iter().filter(|&&model| model != SpecularModel::Paper) {
-        fits.push(solver.compare_sigmas(model, near, watch)?);
-    }
-    sort_by_rest(&mut fits);
-    let most = CLEARLY_LESS * fits[0].unexplained;
-    let worth = fits.partition_point(|fit| fit.unexplained <= most);
-    let all = !solver.shortcuts.takes(Shortcut::Roughnesses);
-    let improved = if all { fits.len() } else { worth };
-    for fit in &mut fits[..improved] {
-        solver.improve_coarse(fit, watch)?;
-    }
-    sort_by_rest(&mut fits[..improved]);
-    let named = |fit: &CoarseFit<'_>| match fit.state.brdf.model {
-        SpecularModel::Paper => "constant Fresnel and masking",
-        SpecularModel::Beckmann => "Beckmann's microfacets",
-        SpecularModel::Ggx => "GGX",
-        SpecularModel::Metal => "a metal",
-    };
-    let because = format!(
-        "{} leaves {:.0} % of the residual that {} leaves",
-        named(&fits[0]),
-        100.0 * fits[0].unexplained / fits[1].unexplained,
-        named(&fits[1])
-    );
-    Ok((fits.swap_remove(0), because))
-}
-
-fn sort_by_rest(fits: &mut [CoarseFit<'_>]) {
-    fits.sort_by(|a, b| a.unexplained.total_cmp(&b.unexplained));
+    interval.map(|end| end.max(0.0))
 }

@@ -167,8 +167,9 @@ impl Observations {
         all
     }
 
-    /// The same without a view's rows and the points that then have fewer than two, and the places that its rows have here.
-    pub fn without_view(&self, view: usize) -> (Self, Vec<usize>) {
+    /// The same without the rows of some views and the points that then have fewer than two, and the places that its rows have
+    /// here.
+    pub fn without_views(&self, is_out: impl Fn(usize) -> bool) -> (Self, Vec<usize>) {
         let mut without = Self {
             glosses: self.glosses.clone(),
             points: Vec::new(),
@@ -179,7 +180,7 @@ impl Observations {
         let mut places = Vec::new();
         for point in &self.points {
             let mut kept: Vec<usize> = point.rows.clone().collect();
-            kept.retain(|&k| self.rows[k].view != view);
+            kept.retain(|&k| !is_out(self.rows[k].view));
             if kept.len() < 2 {
                 continue;
             }

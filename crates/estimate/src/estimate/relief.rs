@@ -21,7 +21,9 @@ use faer::{Col, Mat};
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
+use super::SpecularChoice;
 use super::cells::{Cell, CellGeometry};
+use super::course::choose;
 use super::design::Design;
 use super::fast::{CoarseFit, Solver, Watch};
 use super::observations::{Observations, Point, Seen};
@@ -29,7 +31,6 @@ use super::observer::{Stopped, go_on};
 use super::state::ROUGH;
 use super::visibility::{SeenCells, cell_visibility};
 use super::weights::{eliminate, mean_weights, residuals};
-use super::{SpecularChoice, choose};
 use rekindle_base::math::sparse::LowerEntries;
 use rekindle_capture::{Mesh, View};
 use rekindle_scene::hemisphere::{Lamp, find_lamps};
@@ -56,8 +57,16 @@ const LEAST_PIXELS: f64 = 16.0;
 
 /// Most triangles of a surface with places of its own to move.
 const MOST_TRIANGLES: usize = 90_000;
-/// Lengths below which a noisy surface is smoothed, in edges.
-const LENGTHS: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
+/// How noisy surfaces are smoothed: how many times fewer triangles they get, and below which length, in their edges. What is
+/// smoothed much needs few triangles.
+const SMOOTHINGS: [(usize, f64); 6] = [
+    (1, 0.25),
+    (1, 0.5),
+    (1, 1.0),
+    (4, 1.0),
+    (16, 1.0),
+    (64, 1.0),
+];
 
 /// Most points that take part.
 const POINTS: usize = 24_000;
@@ -183,8 +192,8 @@ pub fn refine(
     }))
 }
 
-/// The surface through a mesh that is as fine as the pictures, smoothed as much as these say: as long as a coarse fit leaves
-/// less than with less smoothing. `None` where the mesh as it is leaves least, `coarse`: its normals are not noisy then.
+/// The surface through a mesh that is as fine as the pictures, smoothed as much as these say: until a coarse fit leaves more
+/// than with less smoothing. What is smoothed much needs few triangles.
 fn smoothed(
     solver: &Solver<'_>,
     coarse: &CoarseFit<'_>,
@@ -195,24 +204,23 @@ fn smoothed(
         object.count()
     };
     let largest = solver.seen.surfaces.iter().map(pixels).max().unwrap_or(0);
-    let mesh = simplified(solver.seen.mesh, largest.min(MOST_TRIANGLES));
-    let spacing = spacing(&mesh);
-    let brdf = coarse.state.brdf;
-    let (mut least, mut best) = (coarse.unexplained, None);
-    for length in LENGTHS {
+    let model = coarse.state.brdf.model;
+    let (mut least, mut best) = (f64::INFINITY, None);
+    for (coarser, length) in SMOOTHINGS {
         go_on(watch.observer.progress("smoothing the surface", 0.3))?;
-        let Some(fairing) = Fairing::smoothing(&mesh, length * spacing) else {
-            break;
+        let triangles = largest.min(MOST_TRIANGLES) / coarser;
+        let mesh = simplified(solver.seen.mesh, triangles);
+        let Some(fairing) = Fairing::smoothing(&mesh, length * spacing(&mesh)) else {
+            continue;
         };
         let relief = Relief::new(fairing);
         let smooth = relief.mesh();
         let bench = Bench::new(&smooth, solver.seen.views);
         let again = bench.solver(solver, &smooth);
-        let fit = again.compare_sigmas(brdf.model, Some(brdf.sigma), watch)?;
-        if fit.unexplained > least {
-            break;
+        let fit = again.compare_sigmas(model, None, watch)?;
+        if fit.unexplained < least {
+            (least, best) = (fit.unexplained, Some(relief));
         }
-        (least, best) = (fit.unexplained, Some(relief));
     }
     Ok(best)
 }

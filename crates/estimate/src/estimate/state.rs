@@ -175,6 +175,19 @@ impl<'a> State<'a> {
         moved
     }
 
+    /// The same lights on other points, whose diffuse colours are those of the rows that `tell` alone.
+    pub fn judged_on<'b>(&self, design: Design<'b>, tell: impl Fn(usize) -> bool) -> State<'b> {
+        let mut judged = State::new(design, self.cells.clone(), self.brdf);
+        judged.radiance.clone_from(&self.radiance);
+        for (k, weight) in judged.weights.iter_mut().enumerate() {
+            if !tell(k) {
+                *weight = 0.0;
+            }
+        }
+        judged.predict();
+        judged
+    }
+
     /// The same where a gloss that was another's becomes the main one: the lights' units are the main lobe's.
     #[must_use]
     pub fn with_main(&self, main: Gloss) -> Self {

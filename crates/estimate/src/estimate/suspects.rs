@@ -178,7 +178,7 @@ impl Solver<'_> {
         }
         let mut without = Vec::with_capacity(views);
         for view in 0..views {
-            let (observations, rows) = self.coarse.without_view(view);
+            let (observations, rows) = self.coarse.without_views(|other| other == view);
             let change = Change {
                 observations: &observations,
                 ..*stated

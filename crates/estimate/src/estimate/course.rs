@@ -1,0 +1,269 @@
+//! The course of the default method: which lobe, which parts of the surface, which surface; then lights and roughness, or why
+//! there are none.
+
+use super::SpecularChoice;
+use super::fast::{CoarseFit, Fit, Solver, Watch};
+use super::gloss;
+use super::held_out::shows_gloss;
+use super::observer::{Interim, Stopped};
+use super::relief::{self, Bench, RefinedSurface};
+use super::state::State;
+use super::suspects::{SURE, Suspicion, left, signed_ranks};
+use super::{diagnose, exposures};
+use rekindle_scene::reflectance::SpecularModel;
+use rekindle_scene::shortcuts::Shortcut;
+use rekindle_scene::surface::GlossParts;
+
+/// A specular model that leaves so many times as much as another at the best of a few roughnesses is not improved. In 67
+/// captures, rendered and made, the true model left less there every time; improving both turned that round once.
+const CLEARLY_LESS: f64 = 1.25;
+
+/// Step of the roughnesses that are tried beyond the best, and the roughest of them, radians.
+const ROUGHER: f32 = 1.25;
+const ROUGHEST: f32 = 0.5;
+
+/// What the course comes to.
+pub enum Outcome {
+    /// Roughness and lights.
+    Found(Box<Ending>),
+    /// There are none, for this reason.
+    Nothing(String),
+    /// The views' exposures differ by these factors: everything is to be done again with them evened out.
+    Exposures(Vec<f64>),
+}
+
+/// What was found.
+pub struct Ending {
+    /// Roughness and lights.
+    pub fit: Fit,
+    /// Why this lobe.
+    pub because: String,
+    /// The surface that it holds for, where that isn't the mesh.
+    pub refined: Option<RefinedSurface>,
+    /// What the photographs contradict.
+    pub suspicion: Option<Suspicion>,
+    /// Whether any smoother surface would do as well: σ is a bound then.
+    pub is_bound: bool,
+}
+
+/// How a course is run.
+#[derive(Clone, Copy)]
+pub struct Rules {
+    /// The specular model.
+    pub choice: SpecularChoice,
+    /// Whether exposures may still be evened out, and whether they have been before.
+    pub exposures: Option<bool>,
+}
+
+/// The default method from the first look to the end.
+pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
+    with_coarse_fit(
+        solver,
+        rules.choice,
+        watch,
+        |solver, coarse, because, watch| {
+            let shown = shows_gloss(solver, &coarse);
+            let views = solver.seen.views.len();
+            if shown
+                && let Some(known) = rules.exposures
+                && let Some(factors) = exposures::differing(&coarse.state, views, known)
+            {
+                return Ok(Outcome::Exposures(factors));
+            }
+            if (!shown || diagnose::doubts_normals(&coarse.state))
+                && let Some(ending) = on_refined(solver, &coarse, rules.choice, watch)?
+            {
+                return Ok(Outcome::Found(Box::new(ending)));
+            }
+            if !shown {
+                return Ok(Outcome::Nothing(diagnose::NO_SPECULAR.to_owned()));
+            }
+            let ending = end(solver, &coarse, because, watch)?;
+            Ok(Outcome::Found(Box::new(ending)))
+        },
+    )
+}
+
+/// Goes on from the best coarse fit on a surface, which has parts by their strength of gloss if these explain clearly more than
+/// one for all.
+fn with_coarse_fit<R>(
+    solver: &Solver<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+    then: impl FnOnce(&Solver<'_>, CoarseFit<'_>, String, &mut Watch<'_>) -> Result<R, Stopped>,
+) -> Result<R, Stopped> {
+    let (coarse, because) = choose(solver, choice, &SpecularModel::ALL, watch)?;
+    let Some(parts) = patches(solver, &coarse, choice, watch)? else {
+        return then(solver, coarse, because, watch);
+    };
+    let parted = solver.parted(&parts);
+    let (on_parts, why) = choose(&parted, choice, &SpecularModel::ALL, watch)?;
+    if explains_better(&on_parts, &coarse) {
+        then(&parted, on_parts, why, watch)
+    } else {
+        then(solver, coarse, because, watch)
+    }
+}
+
+/// The end on a refined surface, if there is one that explains more than `coarse`, the coarse fit on the solver's own surface,
+/// beyond chance.
+fn on_refined(
+    solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Ending>, Stopped> {
+    let Some(surface) = relief::refine(solver, coarse, choice, watch)? else {
+        return Ok(None);
+    };
+    let bench = Bench::new(&surface.mesh, solver.seen.views);
+    let refined = bench.solver(solver, &surface.mesh);
+    let before = left(&coarse.state);
+    let ending = with_coarse_fit(&refined, choice, watch, |solver, again, because, watch| {
+        if signed_ranks(&before, &left(&again.state)) <= SURE || !shows_gloss(solver, &again) {
+            return Ok(None);
+        }
+        end(solver, &again, because, watch).map(Some)
+    })?;
+    Ok(ending.map(|ending| Ending {
+        refined: Some(surface),
+        ..ending
+    }))
+}
+
+/// Goes on from a coarse fit, chosen `because`, to the end: with the roughest surface that the views allow where these tell
+/// no more.
+fn end(
+    solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    because: String,
+    watch: &mut Watch<'_>,
+) -> Result<Ending, Stopped> {
+    let is_bound = solver.sigma.is_none() && diagnose::is_open(coarse);
+    let (fit, suspicion) = if is_bound {
+        let bounded = Solver {
+            sigma: Some(roughest(&coarse.state)),
+            coarse: solver.coarse.clone(),
+            ..*solver
+        };
+        let model = coarse.state.brdf.model;
+        let rough = bounded.compare_sigmas(model, None, watch)?;
+        finish(&bounded, &rough, watch)?
+    } else {
+        finish(solver, coarse, watch)?
+    };
+    Ok(Ending {
+        fit,
+        because,
+        refined: None,
+        suspicion,
+        is_bound,
+    })
+}
+
+/// The roughest lobe that explains as much as a coarse fit's in so much of the surface that chance could have decided.
+fn roughest(coarse: &State<'_>) -> f32 {
+    let own = left(coarse);
+    let mut sigma = coarse.brdf.sigma;
+    loop {
+        let next = ROUGHER * sigma;
+        if next > ROUGHEST || signed_ranks(&left(&coarse.lit_at(next)), &own) > SURE {
+            return sigma;
+        }
+        sigma = next;
+    }
+}
+
+/// Parts of the surface by the strength of their gloss, where one strength for all leaves so much that there may be some, and
+/// many strengths clearly less.
+fn patches(
+    solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<GlossParts>, Stopped> {
+    if !diagnose::leaves_much(&coarse.state) || watch.observer.enough() {
+        return Ok(None);
+    }
+    let Some(strengths) = solver.strengths(watch)? else {
+        return Ok(None);
+    };
+    let parted = solver.parted(&strengths);
+    let (fit, _) = choose(&parted, choice, &SpecularModel::ALL, watch)?;
+    if !explains_better(&fit, coarse) {
+        return Ok(None);
+    }
+    Ok(parted.gloss_parts(&fit.state).map(|(parts, _)| parts))
+}
+
+/// Whether one coarse fit leaves so much less than another that it is worth more unknowns.
+fn explains_better(one: &CoarseFit<'_>, other: &CoarseFit<'_>) -> bool {
+    one.unexplained < gloss::WORTH * other.unexplained
+}
+
+/// Roughness and lights on single nodes, from a coarse fit, and what these contradict.
+fn finish(
+    solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    watch: &mut Watch<'_>,
+) -> Result<(Fit, Option<Suspicion>), Stopped> {
+    let lobe = coarse.state.brdf.model;
+    watch.observer.interim(Interim::Lobe(lobe));
+    let fit = solver.fine_fit(&coarse.state, watch)?;
+    let suspicion = if !watch.observer.enough() && diagnose::is_middling(&fit.misfit) {
+        solver.suspicion(&coarse.state)?
+    } else {
+        None
+    };
+    Ok((fit, suspicion))
+}
+
+/// The coarse fit of the model asked for, or of the one `among` others that leaves least, with the reason in words; the paper's
+/// is always tried. Those that leave clearly more from the start are not improved.
+pub fn choose<'s>(
+    solver: &'s Solver<'_>,
+    choice: SpecularChoice,
+    among: &[SpecularModel],
+    watch: &mut Watch<'_>,
+) -> Result<(CoarseFit<'s>, String), Stopped> {
+    if let SpecularChoice::Model(model) = choice {
+        let mut fit = solver.compare_sigmas(model, None, watch)?;
+        solver.improve_coarse(&mut fit, watch)?;
+        return Ok((fit, "it was asked for".to_owned()));
+    }
+    let mut fits = vec![solver.compare_sigmas(SpecularModel::Paper, None, watch)?];
+    if watch.observer.enough() {
+        let because = "it was the only one tried before the end".to_owned();
+        return Ok((fits.remove(0), because));
+    }
+    let near = Some(fits[0].state.brdf.sigma);
+    for &model in among.iter().filter(|&&model| model != SpecularModel::Paper) {
+        fits.push(solver.compare_sigmas(model, near, watch)?);
+    }
+    sort_by_rest(&mut fits);
+    let most = CLEARLY_LESS * fits[0].unexplained;
+    let worth = fits.partition_point(|fit| fit.unexplained <= most);
+    let all = !solver.shortcuts.takes(Shortcut::Roughnesses);
+    let improved = if all { fits.len() } else { worth };
+    for fit in &mut fits[..improved] {
+        solver.improve_coarse(fit, watch)?;
+    }
+    sort_by_rest(&mut fits[..improved]);
+    let named = |fit: &CoarseFit<'_>| match fit.state.brdf.model {
+        SpecularModel::Paper => "constant Fresnel and masking",
+        SpecularModel::Beckmann => "Beckmann's microfacets",
+        SpecularModel::Ggx => "GGX",
+        SpecularModel::Metal => "a metal",
+    };
+    let because = format!(
+        "{} leaves {:.0} % of the residual that {} leaves",
+        named(&fits[0]),
+        100.0 * fits[0].unexplained / fits[1].unexplained,
+        named(&fits[1])
+    );
+    Ok((fits.swap_remove(0), because))
+}
+
+fn sort_by_rest(fits: &mut [CoarseFit<'_>]) {
+    fits.sort_by(|a, b| a.unexplained.total_cmp(&b.unexplained));
+}
