@@ -62,7 +62,7 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
         rules.choice,
         watch,
         |solver, coarse, because, watch| {
-            let shown = shows_gloss(solver, &coarse);
+            let shown = is_glossy(solver, &coarse);
             let views = solver.seen.views.len();
             if shown
                 && let Some(known) = rules.exposures
@@ -82,6 +82,12 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
             Ok(Outcome::Found(Box::new(ending)))
         },
     )
+}
+
+/// Whether a coarse fit's lobe is more than an accident. One that leaves open how smooth the surface is has to predict views.
+fn is_glossy(solver: &Solver<'_>, coarse: &CoarseFit<'_>) -> bool {
+    let is_clear = diagnose::explains_much(&coarse.state);
+    (is_clear && !diagnose::is_open(coarse)) || shows_gloss(solver, coarse)
 }
 
 /// Goes on from the best coarse fit on a surface, which has parts by their strength of gloss if these explain clearly more than
@@ -113,20 +119,21 @@ fn on_refined(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Ending>, Stopped> {
-    let Some(surface) = relief::refine(solver, coarse, choice, watch)? else {
+    let Some(mesh) = relief::refine(solver, coarse, choice, watch)? else {
         return Ok(None);
     };
-    let bench = Bench::new(&surface.mesh, solver.seen.views);
-    let refined = bench.solver(solver, &surface.mesh);
+    let bench = Bench::new(&mesh, solver.seen.views);
+    let refined = bench.solver(solver, &mesh);
+    let median_tilt = relief::median_tilt(&solver.seen, &refined.seen);
     let before = left(&coarse.state);
     let ending = with_coarse_fit(&refined, choice, watch, |solver, again, because, watch| {
-        if signed_ranks(&before, &left(&again.state)) <= SURE || !shows_gloss(solver, &again) {
+        if signed_ranks(&before, &left(&again.state)) <= SURE || !is_glossy(solver, &again) {
             return Ok(None);
         }
         end(solver, &again, because, watch).map(Some)
     })?;
     Ok(ending.map(|ending| Ending {
-        refined: Some(surface),
+        refined: Some(RefinedSurface { mesh, median_tilt }),
         ..ending
     }))
 }
@@ -148,9 +155,16 @@ fn end(
         };
         let model = coarse.state.brdf.model;
         let rough = bounded.compare_sigmas(model, None, watch)?;
-        finish(&bounded, &rough, watch)?
+        (finish(&bounded, &rough, watch)?, None)
     } else {
-        finish(solver, coarse, watch)?
+        let fit = finish(solver, coarse, watch)?;
+        let is_looked_for = !watch.observer.enough() && diagnose::is_middling(&fit.misfit);
+        let suspicion = if is_looked_for {
+            solver.suspicion(&coarse.state)?
+        } else {
+            None
+        };
+        (fit, suspicion)
     };
     Ok(Ending {
         fit,
@@ -201,21 +215,15 @@ fn explains_better(one: &CoarseFit<'_>, other: &CoarseFit<'_>) -> bool {
     one.unexplained < gloss::WORTH * other.unexplained
 }
 
-/// Roughness and lights on single nodes, from a coarse fit, and what these contradict.
+/// Roughness and lights on single nodes, from a coarse fit.
 fn finish(
     solver: &Solver<'_>,
     coarse: &CoarseFit<'_>,
     watch: &mut Watch<'_>,
-) -> Result<(Fit, Option<Suspicion>), Stopped> {
+) -> Result<Fit, Stopped> {
     let lobe = coarse.state.brdf.model;
     watch.observer.interim(Interim::Lobe(lobe));
-    let fit = solver.fine_fit(&coarse.state, watch)?;
-    let suspicion = if !watch.observer.enough() && diagnose::is_middling(&fit.misfit) {
-        solver.suspicion(&coarse.state)?
-    } else {
-        None
-    };
-    Ok((fit, suspicion))
+    solver.fine_fit(&coarse.state, watch)
 }
 
 /// The coarse fit of the model asked for, or of the one `among` others that leaves least, with the reason in words; the paper's

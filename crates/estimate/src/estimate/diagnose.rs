@@ -29,6 +29,9 @@ pub fn parts(parts: &GlossParts, sigma: f32) -> String {
 /// Fewer surface points seen by two views than this are no basis for an estimate.
 const FEWEST_POINTS: usize = 60;
 
+/// Gain in the squared residual per lit cell, over the noise's, below which lights are fitted to noise.
+const LEAST_SIGNIFICANCE: f64 = 8.0;
+
 /// Share of the squared differences between views that lights must explain.
 pub const LEAST_EXPLAINED: f64 = 0.15;
 
@@ -87,6 +90,16 @@ pub fn unseparable(capture: &Capture, observations: &Observations) -> Option<Str
              the cameras share one frame."
         )
     })
+}
+
+/// Whether a coarse fit explains so much of the differences between views, with so few lights, that no other look is needed.
+pub fn explains_much(state: &State<'_>) -> bool {
+    let rows = state.residuals.values.len() as f64;
+    let lit = state.lit().len() as f64;
+    let (dark, left) = (state.dark_objective(), state.objective());
+    let explained = 1.0 - left / dark.max(f64::MIN_POSITIVE);
+    let significance = (dark - left) / lit.max(1.0) / (left / rows).max(f64::MIN_POSITIVE);
+    lit > 0.0 && explained >= LEAST_EXPLAINED && significance >= LEAST_SIGNIFICANCE
 }
 
 /// What is said of a metal.

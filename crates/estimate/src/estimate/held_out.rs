@@ -8,23 +8,27 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::fast::{CoarseFit, Solver};
+use super::observations::Observations;
 use super::state::{ROUGH, State};
 use super::suspects::{SURE, signed_ranks};
 use super::weights::{deviation, magnitude};
 
 /// Views are left out in so many turns at most.
 const MOST_TURNS: usize = 6;
+/// Points that are looked at: many, as most show no highlight.
+const POINTS: usize = 4000;
 
 /// Whether the lobe of a coarse fit predicts views that had no say in the lights better than diffuse colours alone do, beyond
 /// chance.
 pub fn shows_gloss(solver: &Solver<'_>, fit: &CoarseFit<'_>) -> bool {
     let turns = solver.seen.views.len().min(MOST_TURNS);
+    let points = solver.colours(POINTS).to_gray();
     let of_turns: Vec<Vec<[f64; 2]>> = (0..turns)
         .into_par_iter()
-        .map(|turn| left_in(solver, &fit.state, |view| view % turns == turn))
+        .map(|turn| left_in(solver, &points, &fit.state, |view| view % turns == turn))
         .collect();
     let sum = |which: usize| -> Vec<f64> {
-        let points = 0..solver.coarse.points.len();
+        let points = 0..points.points.len();
         let of = |i: usize| of_turns.iter().map(|left| left[i][which]).sum();
         points.map(of).collect()
     };
@@ -35,8 +39,7 @@ pub fn shows_gloss(solver: &Solver<'_>, fit: &CoarseFit<'_>) -> bool {
 
 /// What is left at each point in the views that `is_out` leaves out, in standard deviations of noise: by diffuse colours alone,
 /// and with the lights of the other views.
-fn left_in(solver: &Solver<'_>, fit: &State<'_>, is_out: impl Fn(usize) -> bool) -> Vec<[f64; 2]> {
-    let all = &solver.coarse;
+fn left_in(solver: &Solver<'_>, all: &Observations, fit: &State<'_>, is_out: impl Fn(usize) -> bool) -> Vec<[f64; 2]> {
     let (others, _) = all.without_views(&is_out);
     let on = |observations| {
         State::new(

@@ -30,7 +30,7 @@ use super::observations::{Observations, Point, Seen};
 use super::observer::{Stopped, go_on};
 use super::state::ROUGH;
 use super::visibility::{SeenCells, cell_visibility};
-use super::weights::{eliminate, mean_weights, residuals};
+use super::weights::{eliminate, mean_weights, median, residuals};
 use rekindle_base::math::sparse::LowerEntries;
 use rekindle_capture::{Mesh, View};
 use rekindle_scene::hemisphere::{Lamp, find_lamps};
@@ -72,6 +72,9 @@ const SMOOTHINGS: [(usize, f64); 6] = [
 const POINTS: usize = 24_000;
 /// They are always cut into this many runs, so that sums come out the same on any number of threads.
 const RUNS: usize = 4;
+
+/// Pixels of a view at which the normals of two surfaces are compared, about.
+const TILTS_PER_VIEW: usize = 20_000;
 
 /// Angle by which normals and lamps are turned for their derivatives, radians.
 const TURN: f32 = 1e-3;
@@ -152,7 +155,7 @@ pub fn refine(
     coarse: &CoarseFit<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
-) -> Result<Option<RefinedSurface>, Stopped> {
+) -> Result<Option<Mesh>, Stopped> {
     const WHAT: &str = "refining the surface";
     go_on(watch.observer.progress(WHAT, 0.3))?;
     let start = if pixels_per_triangle(&solver.seen) >= LEAST_PIXELS {
@@ -186,10 +189,28 @@ pub fn refine(
             break;
         }
     }
-    Ok(Some(RefinedSurface {
-        median_tilt: relief.fairing.median_tilt(&mesh),
-        mesh,
-    }))
+    Ok(Some(mesh))
+}
+
+/// Median angle between the normals of two surfaces at the pixels that show both, radians.
+pub fn median_tilt(before: &Seen<'_>, after: &Seen<'_>) -> f32 {
+    let mut tilts = Vec::new();
+    let surfaces = before.surfaces.iter().zip(after.surfaces);
+    for (view, (one, other)) in before.views.iter().zip(surfaces) {
+        // An odd step falls on all columns in turn.
+        let step = one.interior.len().div_ceil(TILTS_PER_VIEW) | 1;
+        for i in (0..one.interior.len()).step_by(step) {
+            let (x, y) = (i as u32 % one.width, i as u32 / one.width);
+            let normal = |surface: &ViewSurface, mesh| {
+                let point = surface.point(mesh, &view.camera, x, y)?;
+                surface.interior[i].then_some(point.normal)
+            };
+            if let (Some(a), Some(b)) = (normal(one, before.mesh), normal(other, after.mesh)) {
+                tilts.push(a.angle_between(b));
+            }
+        }
+    }
+    median(&mut tilts)
 }
 
 /// The surface through a mesh that is as fine as the pictures, smoothed as much as these say: until a coarse fit leaves more

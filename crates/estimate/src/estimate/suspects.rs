@@ -46,7 +46,7 @@ pub struct Suspicion {
 
 /// Groups of points whose differences are ranked.
 const GROUPS: usize = 32;
-/// Standard deviations of chance by which a change has to win. There are at most eight changes to win by chance.
+/// Standard deviations of chance by which a change has to win: one in 740 does so by chance, and there are at most 28.
 pub const SURE: f64 = 3.0;
 /// Roughnesses that a changed fit starts from, as multiples of the unchanged one's.
 const STARTS: [f32; 3] = [0.75, 1.0, 1.5];
@@ -229,7 +229,7 @@ impl Solver<'_> {
         left
     }
 
-    /// All changes of what is stated; `powers` are the observations decoded and encoded.
+    /// All changes of what is stated, with each lobe; `powers` are the observations decoded and encoded.
     fn changes<'a>(
         &'a self,
         model: SpecularModel,
@@ -257,17 +257,18 @@ impl Solver<'_> {
             let others = RADII.map(|factor| at(self.grid.centre, factor * reach));
             others.into_iter().collect()
         };
-
         for (suspect, observations) in [Suspect::Encoded, Suspect::Decoded].into_iter().zip(powers)
         {
-            // Which lobe fits depends on what the numbers mean.
-            changes.extend(SpecularModel::ALL.map(|model| Change {
+            changes.push(Change {
                 observations,
-                model,
                 ..stated(suspect)
-            }));
+            });
         }
-        changes
+        // Which lobe fits depends on what the numbers mean and on where the lights are.
+        let of_models = changes
+            .into_iter()
+            .flat_map(|change| SpecularModel::ALL.map(|model| Change { model, ..change }));
+        of_models.collect()
     }
 
     /// What a fit with a change leaves; nothing where it starts by leaving more than `most`.

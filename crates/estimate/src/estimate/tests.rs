@@ -127,7 +127,7 @@ fn a_purely_diffuse_object_is_left_diffuse() {
 }
 
 #[test]
-fn uniform_light_on_a_glossy_object_is_left_diffuse() {
+fn uniform_light_on_a_glossy_object_gives_a_bound_of_the_roughness() {
     let mut capture = load();
     let occluder = Occluder::new(&capture.mesh);
     let sky = HemisphereGrid::new(12, Vec3::Y, None, Vec3::ZERO);
@@ -154,7 +154,15 @@ fn uniform_light_on_a_glossy_object_is_left_diffuse() {
         let radiance = (0..surface.interior.len()).map(shaded).collect();
         Arc::make_mut(&mut view.photograph).radiance = radiance;
     }
-    is_diffuse_only(&fast(&capture), "no detail");
+    let found = fast(&capture);
+    let warnings = found.diagnostics.warnings.join("\n");
+    assert!(
+        !found.diagnostics.well_posed && warnings.contains("no detail"),
+        "{warnings}"
+    );
+    let [low, high] = found.sigma_interval95.unwrap();
+    assert!(low == 0.0 && brdf.sigma < high, "{low} to {high}");
+    assert_eq!(found.brdf.unwrap().sigma, high);
 }
 
 #[test]
