@@ -61,10 +61,13 @@ impl Kept {
         }
         let kept = photograph.about_object();
         let most = self.at_most().unwrap_or(usize::MAX);
-        let fits = |block: &usize| kept.usable.len() / (block * block) <= most;
-        match (1..).find(fits) {
-            None | Some(1) => kept,
-            Some(block) => kept.in_blocks(block),
+        let mut block = 1;
+        while kept.usable.len() / (block * block) > most {
+            block += 1;
+        }
+        match block {
+            1 => kept,
+            block => kept.in_blocks(block),
         }
     }
 }
@@ -141,12 +144,17 @@ impl Photograph {
         let share = 1.0 / (block * block) as f32;
         let all = || (0..width * height).into_par_iter();
         let usable: Vec<bool> = all().map(|i| pixels(i).all(|p| self.usable[p])).collect();
-        let mean = |i: usize| match usable[i] {
-            true => pixels(i)
-                .map(|p| Vec3::from(self.radiance[p]) * share)
-                .sum::<Vec3>()
-                .to_array(),
-            false => [0.0; 3],
+        let mean = |i: usize| {
+            let sum = || {
+                pixels(i)
+                    .map(|p| Vec3::from(self.radiance[p]))
+                    .sum::<Vec3>()
+            };
+            if usable[i] {
+                (sum() * share).to_array()
+            } else {
+                [0.0; 3]
+            }
         };
         let covered = |c: &Vec<f32>| {
             let mean = |i: usize| pixels(i).map(|p| c[p]).sum::<f32>() * share;
@@ -275,7 +283,7 @@ mod tests {
     use super::*;
 
     /// A photograph whose pixels know where they are, of an object in some columns and rows.
-    fn photograph(size: [u32; 2], object: [Range<u32>; 2]) -> Photograph {
+    fn photograph(size: [u32; 2], object: &[Range<u32>; 2]) -> Photograph {
         let [width, height] = size;
         let places = || (0..width * height).map(|p| [p % width, p / width]);
         let covered = |[x, y]: [u32; 2]| object[0].contains(&x) && object[1].contains(&y);
@@ -295,7 +303,7 @@ mod tests {
 
     #[test]
     fn of_a_large_photograph_the_object_is_kept_with_room_about_it() {
-        let cropped = photograph([2000, 1500], [700..1100, 3..803]).about_object();
+        let cropped = photograph([2000, 1500], &[700..1100, 3..803]).about_object();
         let crop = cropped.crop.expect("a part");
         assert_eq!(crop.whole, [2000, 1500]);
         assert_eq!(crop.first, [640, 0], "whole blocks are cut off");
@@ -311,7 +319,7 @@ mod tests {
 
     #[test]
     fn of_many_views_blocks_are_kept_that_show_where_they_were() {
-        let whole = photograph([4000, 3000], [800..2800, 200..2700]);
+        let whole = photograph([4000, 3000], &[800..2800, 200..2700]);
         let alone = Kept::Shared(6).of(whole.clone());
         assert_eq!(alone.crop.map(|crop| crop.block), Some(1));
         let kept = Kept::Shared(40).of(whole);
@@ -353,7 +361,7 @@ mod tests {
 
     #[test]
     fn a_capture_with_all_pixels_is_reduced_once_and_knows_its_whole_cameras() {
-        let photograph = photograph([2000, 1500], [700..1100, 3..803]);
+        let photograph = photograph([2000, 1500], &[700..1100, 3..803]);
         let camera = Camera {
             width: 2000,
             height: 1500,
@@ -397,11 +405,11 @@ mod tests {
 
     #[test]
     fn what_is_small_or_full_or_without_coverage_is_kept_whole() {
-        let small = photograph([800, 600], [100..200, 100..200]);
-        let full = photograph([2000, 1500], [50..1900, 50..1450]);
+        let small = photograph([800, 600], &[100..200, 100..200]);
+        let full = photograph([2000, 1500], &[50..1900, 50..1450]);
         let unknown = Photograph {
             coverage: None,
-            ..photograph([2000, 1500], [700..1100, 300..800])
+            ..photograph([2000, 1500], &[700..1100, 300..800])
         };
         for whole in [small, full, unknown] {
             let size = [whole.width, whole.height];

@@ -33,13 +33,17 @@ pub fn shows_gloss(solver: &Solver<'_>, fit: &CoarseFit<'_>) -> bool {
         points.map(of).collect()
     };
     let z = signed_ranks(&sum(0), &sum(1));
-    eprintln!("gloss z {z}");
     z > SURE
 }
 
 /// What is left at each point in the views that `is_out` leaves out, in standard deviations of noise: by diffuse colours alone,
 /// and with the lights of the other views.
-fn left_in(solver: &Solver<'_>, all: &Observations, fit: &State<'_>, is_out: impl Fn(usize) -> bool) -> Vec<[f64; 2]> {
+fn left_in(
+    solver: &Solver<'_>,
+    all: &Observations,
+    fit: &State<'_>,
+    is_out: impl Fn(usize) -> bool,
+) -> Vec<[f64; 2]> {
     let (others, _) = all.without_views(&is_out);
     let on = |observations| {
         State::new(
