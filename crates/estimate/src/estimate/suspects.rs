@@ -11,7 +11,7 @@ use std::sync::atomic::Ordering;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::fast::Solver;
+use super::fast::{SIGMAS, Solver};
 use super::observations::Observations;
 use super::observer::{Stopped, go_on};
 use super::state::{ROUGH, State};
@@ -48,8 +48,8 @@ pub struct Suspicion {
 const GROUPS: usize = 32;
 /// Standard deviations of chance by which a change has to win: one in 740 does so by chance, and there are at most 28.
 pub const SURE: f64 = 3.0;
-/// Roughnesses that a changed fit starts from, as multiples of the unchanged one's.
-const STARTS: [f32; 3] = [0.75, 1.0, 1.5];
+/// How much rougher and smoother a lobe is made to see whether its roughness is determined.
+const ROUGHER: f32 = 1.5;
 /// Rounds of improvement of a changed fit, …
 const ROUNDS: usize = 4;
 /// … which one that starts so much worse than the unchanged one is not worth.
@@ -128,7 +128,7 @@ pub fn signed_ranks(first: &[f64], second: &[f64]) -> f64 {
 pub fn determines_roughness(fit: &State<'_>) -> bool {
     let own = left(fit);
     let sigma = fit.brdf.sigma;
-    [sigma / STARTS[2], sigma * STARTS[2]]
+    [sigma / ROUGHER, sigma * ROUGHER]
         .into_par_iter()
         .map(|other| signed_ranks(&left(&fit.lit_at(other)), &own))
         .all(|z| z > SURE)
@@ -289,8 +289,11 @@ impl Solver<'_> {
         design.near = change.near;
         let model = change.model;
         let dark = State::new(design, roots, Brdf::new(model, sigma));
-        let states: Vec<State<'_>> = (STARTS.into_par_iter())
-            .map(|factor| dark.lit_at(factor * sigma))
+        // What is wrong may have led the unchanged fit far from the true roughness.
+        let mut starts = SIGMAS.to_vec();
+        starts.push(sigma);
+        let states: Vec<State<'_>> = (starts.into_par_iter())
+            .map(|sigma| dark.lit_at(sigma))
             .collect();
         if self.stop.load(Ordering::Relaxed) {
             go_on(ControlFlow::Break(()))?;
