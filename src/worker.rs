@@ -219,7 +219,7 @@ pub struct Progress {
     pub started: Instant,
     /// Time during which it was paused.
     pub paused: Duration,
-    /// The nodes.
+    /// The nodes, with those below the horizon.
     pub grid: Option<Arc<HemisphereGrid>>,
     /// Makes pictures of the nodes.
     pub from_above: Option<Arc<FromAbove>>,
@@ -802,7 +802,8 @@ impl<'a> Shown<'a> {
 
     fn picture(&mut self, grid: &HemisphereGrid, radiance: &[[f32; 3]]) -> Arc<Picture> {
         if self.progress.grid.is_none() {
-            self.progress.grid = Some(Arc::new(grid.clone()));
+            // Later steps may have light below the horizon.
+            self.progress.grid = Some(Arc::new(grid.to_whole()));
         }
         let from_above = self
             .progress

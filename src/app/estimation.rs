@@ -637,7 +637,7 @@ fn quick_lighting(grid: &HemisphereGrid, step: &Step) -> Lighting {
         })
         .collect();
     if nodes.len() > MANY {
-        let coarse = HemisphereGrid::new(JOINED, grid.up, grid.radius, grid.centre);
+        let coarse = grid.at_frequency(JOINED);
         let mut flux = vec![Vec3::ZERO; coarse.directions.len()];
         for node in &nodes {
             if let Some(k) = coarse.nearest(node.direction) {
@@ -655,7 +655,7 @@ fn quick_lighting(grid: &HemisphereGrid, step: &Step) -> Lighting {
             })
             .collect();
     }
-    let patches = HemisphereGrid::new(PATCHES, grid.up, grid.radius, grid.centre);
+    let patches = grid.at_frequency(PATCHES);
     let mut members: Vec<Vec<LightNode>> = vec![Vec::new(); patches.directions.len()];
     for node in nodes {
         if let Some(k) = patches.nearest(node.direction) {

@@ -795,14 +795,20 @@ fn check_manifest(manifest: &Manifest) -> Result<HemisphereGrid, String> {
         hemisphere.radius,
         Vec3::ZERO,
     );
-    if grid.directions.len() != hemisphere.nodes {
-        return Err(format!(
-            "{} nodes are stated where the frequency gives {}",
-            hemisphere.nodes,
-            grid.directions.len()
-        ));
+    let above = grid.directions.len();
+    if hemisphere.nodes == above {
+        return Ok(grid);
     }
-    Ok(grid)
+    // Light comes from below the horizon as well.
+    let whole = grid.to_whole();
+    if hemisphere.nodes == whole.directions.len() {
+        return Ok(whole);
+    }
+    Err(format!(
+        "{} nodes are stated where the frequency gives {above}, or {} with those below the horizon",
+        hemisphere.nodes,
+        whole.directions.len()
+    ))
 }
 
 #[cfg(test)]

@@ -152,8 +152,8 @@ pub fn solve(
     }
     clock.lap("estimate");
 
-    let lamps = name_lamps(&grid, &found);
-    let light = lighting(&grid, &found.radiance, &lamps, Vec3::ZERO, found.brdf);
+    let lamps = name_lamps(&found);
+    let light = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, found.brdf);
     let shortcuts = Shortcuts::without(options.estimate.avoided);
     let sight = Sight {
         mesh,
@@ -186,7 +186,7 @@ pub fn solve(
         chosen_because: found.chosen_because,
         corrections,
         sigma_interval95: found.sigma_interval95,
-        grid,
+        grid: found.grid,
         radiance: found.radiance,
         lamps,
         ambient: albedo.ambient,
@@ -459,8 +459,8 @@ fn hemispheres(
     Ok((pictures, minimum))
 }
 
-fn name_lamps(grid: &HemisphereGrid, found: &Estimate) -> Vec<SolutionLamp> {
-    find_lamps(grid, &found.radiance)
+fn name_lamps(found: &Estimate) -> Vec<SolutionLamp> {
+    find_lamps(&found.grid, &found.radiance)
         .into_iter()
         .enumerate()
         .map(|(i, lamp)| SolutionLamp {

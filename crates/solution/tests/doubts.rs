@@ -246,8 +246,8 @@ fn a_mesh_with_holes_is_doubted() {
 fn light_without_detail_gives_no_more_than_a_bound_of_the_roughness() {
     let solution = changed("spot_uniform", |_| ());
     assert_doubted(&solution, "an even sky", &["no detail"]);
-    let interval = solution.sigma_interval95.unwrap();
-    assert_eq!(interval, [0.0, solution.brdf.unwrap().sigma]);
+    let [low, high] = solution.sigma_interval95.unwrap();
+    assert!(low == 0.0 && solution.brdf.unwrap().sigma < high, "{high}");
 }
 
 #[test]

@@ -56,7 +56,7 @@ impl Pyramid {
             .rev()
             .map(|k| {
                 let f = f64::from(grid.frequency) / ratio.powf(f64::from(k) / f64::from(steps));
-                HemisphereGrid::new(f.round() as u32, grid.up, grid.radius, grid.centre)
+                grid.at_frequency(f.round() as u32)
             })
             .collect();
         grids.push(grid.clone());

@@ -2,6 +2,7 @@
 //! there are none.
 
 use super::SpecularChoice;
+use super::below::{AllAround, is_lit_from_below};
 use super::fast::{CoarseFit, Fit, Solver, Watch};
 use super::gloss;
 use super::held_out::shows_gloss;
@@ -10,6 +11,7 @@ use super::relief::{self, Bench, RefinedSurface};
 use super::state::State;
 use super::suspects::{SURE, Suspicion, left, signed_ranks};
 use super::{diagnose, exposures};
+use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::SpecularModel;
 use rekindle_scene::shortcuts::Shortcut;
 use rekindle_scene::surface::GlossParts;
@@ -18,9 +20,10 @@ use rekindle_scene::surface::GlossParts;
 /// captures, rendered and made, the true model left less there every time; improving both turned that round once.
 const CLEARLY_LESS: f64 = 1.25;
 
-/// Step of the roughnesses that are tried beyond the best, and the roughest of them, radians.
-const ROUGHER: f32 = 1.25;
-const ROUGHEST: f32 = 0.5;
+/// Step of the roughnesses that are compared where the views hardly tell them apart, and the range of these, radians.
+const STEP: f32 = 1.25;
+const SMOOTHEST: f32 = 0.02;
+pub const ROUGHEST: f32 = 0.5;
 
 /// What the course comes to.
 pub enum Outcome {
@@ -42,8 +45,10 @@ pub struct Ending {
     pub refined: Option<RefinedSurface>,
     /// What the photographs contradict.
     pub suspicion: Option<Suspicion>,
-    /// Whether any smoother surface would do as well: σ is a bound then.
-    pub is_bound: bool,
+    /// The roughest σ that does as well, radians, where any smoother one does too.
+    pub bound: Option<f32>,
+    /// The nodes of the lights.
+    pub grid: HemisphereGrid,
 }
 
 /// How a course is run.
@@ -90,8 +95,8 @@ fn is_glossy(solver: &Solver<'_>, coarse: &CoarseFit<'_>) -> bool {
     (is_clear && !diagnose::is_open(coarse)) || shows_gloss(solver, coarse)
 }
 
-/// Goes on from the best coarse fit on a surface, which has parts by their strength of gloss if these explain clearly more than
-/// one for all.
+/// Goes on from the best coarse fit, with light from below the horizon if that explains clearly more, on a surface that has parts
+/// by their strength of gloss if these do.
 fn with_coarse_fit<R>(
     solver: &Solver<'_>,
     choice: SpecularChoice,
@@ -99,6 +104,26 @@ fn with_coarse_fit<R>(
     then: impl FnOnce(&Solver<'_>, CoarseFit<'_>, String, &mut Watch<'_>) -> Result<R, Stopped>,
 ) -> Result<R, Stopped> {
     let (coarse, because) = choose(solver, choice, &SpecularModel::ALL, watch)?;
+    if !solver.grid.whole && diagnose::leaves_much(&coarse.state) && !watch.observer.enough() {
+        let around = AllAround::of(solver);
+        let whole = around.solver(solver);
+        let (everywhere, because) = choose(&whole, choice, &SpecularModel::ALL, watch)?;
+        if is_lit_from_below((&whole, &everywhere), (solver, &coarse)) {
+            return with_parts(&whole, everywhere, because, choice, watch, then);
+        }
+    }
+    with_parts(solver, coarse, because, choice, watch, then)
+}
+
+/// The same from a coarse fit, chosen `because`.
+fn with_parts<R>(
+    solver: &Solver<'_>,
+    coarse: CoarseFit<'_>,
+    because: String,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+    then: impl FnOnce(&Solver<'_>, CoarseFit<'_>, String, &mut Watch<'_>) -> Result<R, Stopped>,
+) -> Result<R, Stopped> {
     let Some(parts) = patches(solver, &coarse, choice, watch)? else {
         return then(solver, coarse, because, watch);
     };
@@ -138,24 +163,26 @@ fn on_refined(
     }))
 }
 
-/// Goes on from a coarse fit, chosen `because`, to the end: with the roughest surface that the views allow where these tell
-/// no more.
+/// Goes on from a coarse fit, chosen `because`, to the end: with the middle of the roughnesses that the views allow where these
+/// tell no more.
 fn end(
     solver: &Solver<'_>,
     coarse: &CoarseFit<'_>,
     because: String,
     watch: &mut Watch<'_>,
 ) -> Result<Ending, Stopped> {
-    let is_bound = solver.sigma.is_none() && diagnose::is_open(coarse);
-    let (fit, suspicion) = if is_bound {
+    let mut bound = None;
+    let (fit, suspicion) = if solver.sigma.is_none() && diagnose::is_open(coarse) {
+        let (middle, roughest) = open_roughness(&coarse.state);
+        bound = Some(roughest);
         let bounded = Solver {
-            sigma: Some(roughest(&coarse.state)),
+            sigma: Some(middle),
             coarse: solver.coarse.clone(),
             ..*solver
         };
         let model = coarse.state.brdf.model;
-        let rough = bounded.compare_sigmas(model, None, watch)?;
-        (finish(&bounded, &rough, watch)?, None)
+        let start = bounded.compare_sigmas(model, None, watch)?;
+        (finish(&bounded, &start, watch)?, None)
     } else {
         let fit = finish(solver, coarse, watch)?;
         let is_looked_for = !watch.observer.enough() && diagnose::is_middling(&fit.misfit);
@@ -171,21 +198,35 @@ fn end(
         because,
         refined: None,
         suspicion,
-        is_bound,
+        bound,
+        grid: solver.grid.clone(),
     })
 }
 
-/// The roughest lobe that explains as much as a coarse fit's in so much of the surface that chance could have decided.
-fn roughest(coarse: &State<'_>) -> f32 {
+/// The roughness in the middle of those that explain as much as a coarse fit's, and the roughest of them. They weigh as much as
+/// chance lets them explain what they do: by exp(−z²/2) where they leave more by z standard deviations of it.
+fn open_roughness(coarse: &State<'_>) -> (f32, f32) {
     let own = left(coarse);
-    let mut sigma = coarse.brdf.sigma;
-    loop {
-        let next = ROUGHER * sigma;
-        if next > ROUGHEST || signed_ranks(&left(&coarse.lit_at(next)), &own) > SURE {
-            return sigma;
-        }
-        sigma = next;
+    let steps = (ROUGHEST / SMOOTHEST).ln() / STEP.ln();
+    let sigmas = (0..=steps as i32).map(|k| SMOOTHEST * STEP.powi(k));
+    let tried: Vec<(f32, f64)> = sigmas
+        .map(|sigma| (sigma, signed_ranks(&left(&coarse.lit_at(sigma)), &own)))
+        .collect();
+    let (mut sum, mut total) = (0.0, 0.0);
+    for &(sigma, z) in &tried {
+        let weight = (-0.5 * z.max(0.0).powi(2)).exp();
+        sum += weight * f64::from(sigma.ln());
+        total += weight;
     }
+    let possible = tried.iter().filter(|(_, z)| *z <= SURE);
+    let roughest = possible.map(|(sigma, _)| *sigma).last();
+    let own = coarse.brdf.sigma;
+    let middle = if total > 0.0 {
+        (sum / total).exp() as f32
+    } else {
+        own
+    };
+    (middle, roughest.unwrap_or(own).max(middle))
 }
 
 /// Parts of the surface by the strength of their gloss, where one strength for all leaves so much that there may be some, and
@@ -211,7 +252,7 @@ fn patches(
 }
 
 /// Whether one coarse fit leaves so much less than another that it is worth more unknowns.
-fn explains_better(one: &CoarseFit<'_>, other: &CoarseFit<'_>) -> bool {
+pub fn explains_better(one: &CoarseFit<'_>, other: &CoarseFit<'_>) -> bool {
     one.unexplained < gloss::WORTH * other.unexplained
 }
 

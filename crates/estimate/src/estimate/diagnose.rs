@@ -110,10 +110,10 @@ pub const METAL: &str = "The surface reflects as a metal does. Its colour can't 
 pub const ENDED_EARLY: &str =
     "The estimation was ended before it had settled: roughness and lights are preliminary.";
 
-/// What is said where any smoother surface would do as well.
-pub const BOUND: &str = "The lighting has no detail sharp enough to tell its own blur from the surface's roughness, as under a wide \
-    window or sky: the surface may be smoother than it was taken for, and the lights then wider. The roughest surface that the \
-    photographs allow was taken. State the roughness if you know it, or add a lamp.";
+/// What is said where smoother surfaces would do as well.
+pub const OPEN: &str = "The lighting has no detail sharp enough to tell its own blur from the surface's roughness, as under a wide \
+    window or sky: a smoother surface under wider lights explains the photographs as well. The middle of what they allow was taken. \
+    State the roughness if you know it, or add a lamp.";
 
 /// Whether a coarse fit leaves open how smooth the surface is: no roughness stands out, or its lights are so broad, or its lobe,
 /// that a smoother surface does as well.

@@ -15,25 +15,41 @@ use super::weights::{deviation, magnitude};
 
 /// Views are left out in so many turns at most.
 const MOST_TURNS: usize = 6;
+/// What chance does in one case of twenty, in standard deviations.
+const CHANCE: f64 = 2.0;
 /// Points that are looked at: many, as most show no highlight.
 const POINTS: usize = 4000;
 
 /// Whether the lobe of a coarse fit predicts views that had no say in the lights better than diffuse colours alone do, beyond
 /// chance.
 pub fn shows_gloss(solver: &Solver<'_>, fit: &CoarseFit<'_>) -> bool {
+    let [dark, lit] = left_out(solver, fit);
+    signed_ranks(&dark, &lit) > SURE
+}
+
+/// Whether one coarse fit, with its solver, predicts such views worse than another by more than two standard deviations of chance.
+pub fn predicts_worse(
+    (solver, fit): (&Solver<'_>, &CoarseFit<'_>),
+    other: (&Solver<'_>, &CoarseFit<'_>),
+) -> bool {
+    let [[_, lit], [_, by_other]] = [(solver, fit), other].map(|(s, f)| left_out(s, f));
+    signed_ranks(&lit, &by_other) > CHANCE
+}
+
+/// What is left at each of many points in views that had no say, in standard deviations of noise: by diffuse colours alone, and
+/// with lights.
+fn left_out(solver: &Solver<'_>, fit: &CoarseFit<'_>) -> [Vec<f64>; 2] {
     let turns = solver.seen.views.len().min(MOST_TURNS);
     let points = solver.colours(POINTS).to_gray();
     let of_turns: Vec<Vec<[f64; 2]>> = (0..turns)
         .into_par_iter()
         .map(|turn| left_in(solver, &points, &fit.state, |view| view % turns == turn))
         .collect();
-    let sum = |which: usize| -> Vec<f64> {
+    [0, 1].map(|which| {
         let points = 0..points.points.len();
         let of = |i: usize| of_turns.iter().map(|left| left[i][which]).sum();
         points.map(of).collect()
-    };
-    let z = signed_ranks(&sum(0), &sum(1));
-    z > SURE
+    })
 }
 
 /// What is left at each point in the views that `is_out` leaves out, in standard deviations of noise: by diffuse colours alone,

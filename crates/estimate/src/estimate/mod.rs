@@ -5,6 +5,7 @@
 //! K_S = 1, because it can't be told from the lights' strength.
 
 mod alternating;
+mod below;
 pub mod cells;
 mod course;
 pub mod design;
@@ -108,7 +109,7 @@ pub struct EstimateInput<'a> {
     pub surfaces: &'a [ViewSurface],
     /// The object, for shadows.
     pub occluder: &'a Occluder,
-    /// Nodes on which the lights are sought.
+    /// Nodes on which the lights are sought first, above the horizon.
     pub grid: &'a HemisphereGrid,
 }
 
@@ -132,6 +133,8 @@ pub struct Estimate {
     pub brdf: Option<Brdf>,
     /// 95 % interval of σ, radians.
     pub sigma_interval95: Option<[f32; 2]>,
+    /// The nodes: those of the input, with those below the horizon where light comes from there.
+    pub grid: HemisphereGrid,
     /// Radiance per node of the grid, RGB, in the capture's units; all zero without a specular part.
     pub radiance: Vec<[f32; 3]>,
     /// What it is worth.
@@ -160,6 +163,7 @@ impl Estimate {
             method,
             brdf: None,
             sigma_interval95: None,
+            grid: grid.clone(),
             radiance: vec![[0.0; 3]; grid.directions.len()],
             diagnostics: Diagnostics::default(),
             convergence: Vec::new(),
@@ -397,22 +401,25 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         because,
         refined,
         suspicion,
-        is_bound,
+        bound,
+        grid,
     } = ending;
     let sigma = fit.brdf.sigma;
     let by_noise = HALF_INTERVAL * fit.noise_error / sigma;
     let suspicion = suspicion
         .as_ref()
         .filter(|s| diagnose::is_worth_saying(s, &fit.misfit, by_noise));
-    let is_bound = is_bound || diagnose::is_undetermined(&fit);
+    // No curvature, no end.
+    let undetermined = diagnose::is_undetermined(&fit).then_some(course::ROUGHEST.max(sigma));
+    let bound = bound.or(undetermined);
     result.chosen_because = because;
     result.refined = refined;
-    result.sigma_interval95 = match solver.sigma {
-        Some(_) => None,
-        None if is_bound => Some([0.0, sigma]),
-        None => Some(interval(&fit, suspicion)),
+    result.sigma_interval95 = match (solver.sigma, bound) {
+        (Some(_), _) => None,
+        (None, Some(roughest)) => Some([0.0, roughest]),
+        (None, None) => Some(interval(&fit, suspicion)),
     };
-    let open = is_bound.then(|| diagnose::BOUND.to_owned());
+    let open = bound.map(|_| diagnose::OPEN.to_owned());
     let stated = solver.near.map(|(_, radius)| radius);
     // A cause that has a name is said in place of what it leaves.
     let misfit = match suspicion {
@@ -432,6 +439,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
     if let Some(parts) = &fit.parts {
         result.chosen_because += &diagnose::parts(parts, sigma);
     }
+    result.grid = grid;
     result.radiance = fit.nodes;
     result.parts = fit.parts;
 }

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
@@ -162,7 +162,7 @@ fn uniform_light_on_a_glossy_object_gives_a_bound_of_the_roughness() {
     );
     let [low, high] = found.sigma_interval95.unwrap();
     assert!(low == 0.0 && brdf.sigma < high, "{low} to {high}");
-    assert_eq!(found.brdf.unwrap().sigma, high);
+    assert!(found.brdf.unwrap().sigma < high);
 }
 
 #[test]
@@ -180,14 +180,12 @@ fn a_mesh_coarser_than_the_highlights_is_refined() {
     // From the truth.json of spot_paper.
     let sigma = found.brdf.unwrap().sigma;
     assert!((sigma / 0.085 - 1.0).abs() < 0.05, "{sigma}");
-    lamps_of_spot_paper_are_found(&capture, &found);
+    lamps_of_spot_paper_are_found(&found);
 }
 
 /// Whether both lamps of `spot_paper` (from its truth.json) are found within 1°, and hardly any other light.
-fn lamps_of_spot_paper_are_found(capture: &Capture, found: &Estimate) {
-    let up = capture.light_hemisphere.up.as_vec3();
-    let grid = HemisphereGrid::new(40, up, None, capture.mesh.centre());
-    let lamps = find_lamps(&grid, &found.radiance);
+fn lamps_of_spot_paper_are_found(found: &Estimate) {
+    let lamps = find_lamps(&found.grid, &found.radiance);
     assert!(lamps.len() >= 2, "{:?}", found.diagnostics);
     for truth in [
         Vec3::new(-0.619_74, 0.587_79, 0.520_03),
@@ -221,7 +219,7 @@ fn lights_are_found_where_half_the_surface_has_no_gloss() {
         }
     }
     let found = fast(&capture);
-    lamps_of_spot_paper_are_found(&capture, &found);
+    lamps_of_spot_paper_are_found(&found);
     // From the truth.json of spot_paper.
     let sigma = found.brdf.unwrap().sigma;
     assert!((sigma / 0.085 - 1.0).abs() < 0.05, "{sigma}");
@@ -229,6 +227,24 @@ fn lights_are_found_where_half_the_surface_has_no_gloss() {
     let dull = (0..parts.glosses.len()).filter(|&k| parts.glosses[k].strength == 0.0);
     let dull: f32 = dull.map(|k| parts.share(k)).sum();
     assert!((0.3..0.7).contains(&dull), "{dull} of the surface");
+}
+
+#[test]
+fn light_from_below_the_horizon_is_found_and_not_sought_without_need() {
+    let mut capture = load();
+    let usual = fast(&capture);
+    assert!(!usual.grid.whole, "all lamps are above the horizon");
+    // One lamp is 40° below this horizon, the other 19° above it.
+    capture.light_hemisphere.up = DVec3::new(1.0, 0.0, -0.15);
+    let found = fast(&capture);
+    assert!(
+        found.grid.whole && found.diagnostics.well_posed,
+        "{:?}",
+        found.diagnostics
+    );
+    lamps_of_spot_paper_are_found(&found);
+    let ratio = found.brdf.unwrap().sigma / usual.brdf.unwrap().sigma;
+    assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
 }
 
 #[test]

@@ -1,5 +1,5 @@
 //! The nodes on which light is sought: the upper half of an icosahedron whose edges are divided into `frequency` parts
-//! (method.md 2, eq. 5–7).
+//! (method.md 2, eq. 5–7), and all of it where light comes from below the horizon as well.
 //!
 //! The icosahedron stands with the middle of an edge at the pole, and nodes on the rim count: so orientated, frequency 70
 //! has the paper's 24,641 nodes. The points inside a face are spread by the weights sin(w θ) of its corners (θ = the angle
@@ -15,18 +15,20 @@ pub struct HemisphereGrid {
     pub frequency: u32,
     /// Unit vector towards the pole.
     pub up: Vec3,
+    /// Whether there are nodes below the horizon too.
+    pub whole: bool,
     /// Distance of the nodes from the centre in mesh units, `None` where the light is distant.
     pub radius: Option<f32>,
     /// The object's centre.
     pub centre: Vec3,
     /// Unit direction of each node from the centre, in the world.
     pub directions: Vec<Vec3>,
-    /// Solid angle of every node seen from the centre, 2π / number of nodes, in steradians.
+    /// Solid angle of every node seen from the centre in steradians: 2π / number of nodes, 4π of the whole sphere's.
     pub solid_angle: f32,
     /// Neighbours of node `i` are `neighbour_list[neighbour_start[i]..neighbour_start[i + 1]]`, ascending.
     neighbour_start: Vec<u32>,
     neighbour_list: Vec<u32>,
-    /// A node near the centre of each cell of the octahedral map of the hemisphere.
+    /// A node near the centre of each cell of the octahedral map of the hemisphere, and then of its mirror image below.
     cells: Vec<u32>,
     cells_per_side: u32,
     spacing: f32,
@@ -84,7 +86,7 @@ struct Net {
 }
 
 impl Net {
-    fn new(frequency: u32) -> Self {
+    fn new(frequency: u32, whole: bool) -> Self {
         let (corners, faces) = icosahedron();
         let f = frequency as usize;
         let edge_angle = (1.0 / 5.0_f64.sqrt()).acos();
@@ -100,15 +102,13 @@ impl Net {
         let mut nodes: Vec<(Lattice, DVec3)> = points
             .iter()
             .copied()
-            .filter(|(lattice, _)| place(*lattice).z >= 0.0)
+            .filter(|(lattice, _)| whole || place(*lattice).z >= 0.0)
             .collect();
-        nodes.sort_unstable_by_key(|(lattice, _)| *lattice);
+        // Those below come last, so that the others have the same numbers with and without them.
+        let key = |(lattice, _): &(Lattice, DVec3)| (place(*lattice).z < 0.0, *lattice);
+        nodes.sort_unstable_by_key(key);
         nodes.dedup_by_key(|(lattice, _)| *lattice);
-        let find = |point: &(Lattice, DVec3)| {
-            nodes
-                .binary_search_by_key(&point.0, |(lattice, _)| *lattice)
-                .ok()
-        };
+        let find = |point: &(Lattice, DVec3)| nodes.binary_search_by_key(&key(point), key).ok();
         let per_face = (f + 1) * (f + 2) / 2;
         let row = |i: usize| i * (2 * f + 3 - i) / 2;
         let mut edges = Vec::with_capacity(nodes.len() * 6);
@@ -161,12 +161,30 @@ fn node(
 }
 
 impl HemisphereGrid {
-    /// The grid about `centre` with its pole towards `up` (any length but zero). `frequency` is held within 1 to 200.
+    /// The grid above the horizon about `centre` with its pole towards `up` (any length but zero). `frequency` is held within 1
+    /// to 200.
     pub fn new(frequency: u32, up: Vec3, radius: Option<f32>, centre: Vec3) -> Self {
+        Self::build(frequency, up, radius, centre, false)
+    }
+
+    /// The same with nodes below the horizon too, after those above it.
+    #[must_use]
+    pub fn to_whole(&self) -> Self {
+        Self::build(self.frequency, self.up, self.radius, self.centre, true)
+    }
+
+    /// A grid of another frequency over the same directions.
+    #[must_use]
+    pub fn at_frequency(&self, frequency: u32) -> Self {
+        Self::build(frequency, self.up, self.radius, self.centre, self.whole)
+    }
+
+    fn build(frequency: u32, up: Vec3, radius: Option<f32>, centre: Vec3, whole: bool) -> Self {
         let frequency = frequency.clamp(1, 200);
         let up = up.try_normalize().unwrap_or(Vec3::Y);
         let world_from_local = Quat::from_rotation_arc(Vec3::Z, up);
-        let net = Net::new(frequency);
+        let net = Net::new(frequency, whole);
+        let halves = if whole { 2.0 } else { 1.0 };
         let count = net.directions.len();
         let mut neighbour_start = vec![0_u32; count + 1];
         for &(from, _) in &net.edges {
@@ -184,6 +202,7 @@ impl HemisphereGrid {
         let mut grid = Self {
             frequency,
             up,
+            whole,
             radius,
             centre,
             directions: net
@@ -191,11 +210,11 @@ impl HemisphereGrid {
                 .iter()
                 .map(|d| (world_from_local * d.as_vec3()).normalize_or_zero())
                 .collect(),
-            solid_angle: (std::f64::consts::TAU / count as f64) as f32,
+            solid_angle: (halves * std::f64::consts::TAU / count as f64) as f32,
             neighbour_start,
             neighbour_list: net.edges.iter().map(|&(_, to)| to).collect(),
             cells: Vec::new(),
-            cells_per_side: ((2.0 * count as f32).sqrt().ceil() as u32).max(1),
+            cells_per_side: ((2.0 * count as f32 / halves as f32).sqrt().ceil() as u32).max(1),
             spacing,
             lowest: -(0.5 * spacing).sin(),
             local_from_world: world_from_local.inverse(),
@@ -207,15 +226,17 @@ impl HemisphereGrid {
     /// Every cell starts its search where the previous one ended: a step or two.
     fn fill_cells(&mut self) {
         let side = self.cells_per_side;
-        let mut cells = Vec::with_capacity((side * side) as usize);
+        let halves = if self.whole { 2 } else { 1 };
+        let mut cells = Vec::with_capacity((halves * side * side) as usize);
         let mut from = 0;
-        for row in 0..side {
+        for row in 0..halves * side {
+            let sign = if row < side { 1.0 } else { -1.0 };
             for step in 0..side {
                 let column = if row % 2 == 0 { step } else { side - 1 - step };
                 let at = |k: u32| (k as f32 + 0.5) / side as f32 * 2.0 - 1.0;
-                let (p, q) = (at(column), at(row));
+                let (p, q) = (at(column), at(row % side));
                 let (x, y) = (0.5 * (p + q), 0.5 * (p - q));
-                let local = Vec3::new(x, y, 1.0 - x.abs() - y.abs()).normalize_or_zero();
+                let local = Vec3::new(x, y, sign * (1.0 - x.abs() - y.abs())).normalize_or_zero();
                 from = self.climb(self.local_from_world.inverse() * local, from);
                 cells.push((row * side + column, from as u32));
             }
@@ -244,18 +265,24 @@ impl HemisphereGrid {
         }
     }
 
-    /// The node nearest to a unit direction from the centre; `None` where it lies below the horizon by more than half the
-    /// nodes' spacing.
+    /// The node nearest to a unit direction from the centre; `None` where there are no nodes below the horizon and it lies
+    /// below that by more than half their spacing.
     pub fn nearest(&self, direction: Vec3) -> Option<usize> {
         let local = self.local_from_world * direction;
-        if local.is_nan() || local.z < self.lowest {
+        if local.is_nan() || !self.whole && local.z < self.lowest {
             return None;
         }
-        let sum = local.x.abs() + local.y.abs() + local.z.max(0.0);
+        let height = if self.whole {
+            local.z.abs()
+        } else {
+            local.z.max(0.0)
+        };
+        let sum = local.x.abs() + local.y.abs() + height;
         let (x, y) = (local.x / sum, local.y / sum);
         let side = self.cells_per_side;
         let cell = |v: f32| (((v + 1.0) * 0.5 * side as f32) as u32).min(side - 1);
-        let start = self.cells[(cell(x - y) * side + cell(x + y)) as usize];
+        let below = if self.whole && local.z < 0.0 { side } else { 0 };
+        let start = self.cells[((below + cell(x - y)) * side + cell(x + y)) as usize];
         Some(self.climb(direction, start as usize))
     }
 
@@ -408,6 +435,33 @@ mod tests {
                     (d.length() - 1.0).abs() < 1e-6 && d.dot(grid.up) > -1e-6,
                     "node {i} at {d}"
                 );
+            }
+        }
+    }
+
+    #[test]
+    fn the_whole_sphere_goes_on_below_the_horizon() {
+        for up in ups() {
+            let above = HemisphereGrid::new(20, up, None, Vec3::ZERO);
+            let whole = above.to_whole();
+            let count = above.directions.len();
+            assert_eq!(whole.directions[..count], above.directions);
+            let all = whole.directions.len();
+            assert!((2 * count - 90..2 * count).contains(&all), "{all}");
+            let solid_angle = all as f32 * whole.solid_angle;
+            assert!((solid_angle / (4.0 * std::f32::consts::PI) - 1.0).abs() < 1e-5);
+            for (i, &d) in whole.directions.iter().enumerate() {
+                assert_eq!(whole.nearest(d), Some(i), "node {i}");
+                assert_eq!(i < count, d.dot(whole.up) > -1e-6, "node {i} at {d}");
+                assert!(whole.neighbours(i).count() >= 5, "node {i}");
+            }
+            for direction in directions(2000) {
+                let found = whole.directions[whole.nearest(direction).unwrap()].dot(direction);
+                let nearer = whole
+                    .directions
+                    .iter()
+                    .any(|d| d.dot(direction) > found + 1e-6);
+                assert!(!nearer, "{direction} found a farther node");
             }
         }
     }
