@@ -1,0 +1,47 @@
+//! Does light come from below the horizon?
+//!
+//! The paper seeks light on a hemisphere. In a room or out of doors a tenth to a third of it comes from below: what floor and
+//! ground throw back. Without it the gloss that faces down is laid to light above, in a lobe that is too wide. So cells
+//! below the horizon are taken in where they explain clearly more. That alone would mislead: more cells explain normals and
+//! cameras that are off as well. But then they predict views that had no say in them worse.
+
+use super::cells::Pyramid;
+use super::course::explains_better;
+use super::fast::{COARSEST, CoarseFit, Solver};
+use super::held_out::predicts_worse;
+use rekindle_scene::hemisphere::HemisphereGrid;
+
+/// Directions all around in which light is sought.
+pub struct AllAround {
+    grid: HemisphereGrid,
+    pyramid: Pyramid,
+}
+
+impl AllAround {
+    /// The nodes of a solver with those below the horizon.
+    pub fn of(solver: &Solver<'_>) -> Self {
+        let grid = solver.grid.to_whole();
+        Self {
+            pyramid: Pyramid::new(&grid, COARSEST),
+            grid,
+        }
+    }
+
+    /// The same solver with light from everywhere.
+    pub fn solver<'b>(&'b self, other: &'b Solver<'_>) -> Solver<'b> {
+        Solver {
+            grid: &self.grid,
+            pyramid: &self.pyramid,
+            coarse: other.coarse.clone(),
+            ..*other
+        }
+    }
+}
+
+/// Whether a coarse fit with light from everywhere is to be preferred to one with light from above, each with its solver.
+pub fn is_lit_from_below(
+    everywhere: (&Solver<'_>, &CoarseFit<'_>),
+    above: (&Solver<'_>, &CoarseFit<'_>),
+) -> bool {
+    explains_better(everywhere.1, above.1) && !predicts_worse(everywhere, above)
+}
