@@ -12,7 +12,7 @@ use super::state::State;
 use super::suspects::{SURE, Suspicion, left, signed_ranks};
 use super::{diagnose, exposures};
 use rekindle_scene::hemisphere::HemisphereGrid;
-use rekindle_scene::reflectance::SpecularModel;
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::Shortcut;
 use rekindle_scene::surface::GlossParts;
 
@@ -75,7 +75,7 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
             {
                 return Ok(Outcome::Exposures(factors));
             }
-            if (!shown || diagnose::doubts_normals(&coarse.state))
+            if (!shown || diagnose::blames_normals(&coarse.state))
                 && let Some(ending) = on_refined(solver, &coarse, rules.choice, watch)?
             {
                 return Ok(Outcome::Found(Box::new(ending)));
@@ -107,8 +107,12 @@ fn with_coarse_fit<R>(
     if !solver.grid.whole && diagnose::leaves_much(&coarse.state) && !watch.observer.enough() {
         let around = AllAround::of(solver);
         let whole = around.solver(solver);
-        let (everywhere, because) = choose(&whole, choice, &SpecularModel::ALL, watch)?;
+        // The lobe is chosen anew only if it is worth it.
+        let Brdf { model, sigma, .. } = coarse.state.brdf;
+        let mut everywhere = whole.compare_sigmas(model, Some(sigma), watch)?;
+        whole.improve_coarse(&mut everywhere, watch)?;
         if is_lit_from_below((&whole, &everywhere), (solver, &coarse)) {
+            let (everywhere, because) = choose(&whole, choice, &SpecularModel::ALL, watch)?;
             return with_parts(&whole, everywhere, because, choice, watch, then);
         }
     }

@@ -128,9 +128,9 @@ pub fn leaves_much(state: &State<'_>) -> bool {
     state.unexplained_share() > MOST_UNEXPLAINED
 }
 
-/// Whether a coarse fit leaves so much that the normals may be off.
-pub fn doubts_normals(state: &State<'_>) -> bool {
-    state.unexplained_share() > MOST_OF_GOOD_NORMALS
+/// Whether a coarse fit leaves so much that the normals may be off, and more than noise does.
+pub fn blames_normals(state: &State<'_>) -> bool {
+    state.unexplained_share() > MOST_OF_GOOD_NORMALS && Misfit::of(state).tilt.explained > 0.0
 }
 
 /// What is said where the surface was refined.

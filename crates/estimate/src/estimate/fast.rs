@@ -32,7 +32,7 @@ use rekindle_scene::shortcuts::{Shortcut, Shortcuts};
 use rekindle_scene::surface::{GlossParts, Occluder};
 
 /// Roughnesses compared on the coarsest cells, radians.
-pub const SIGMAS: [f32; 6] = [0.34, 0.21, 0.13, 0.08, 0.05, 0.03];
+const SIGMAS: [f32; 6] = [0.34, 0.21, 0.13, 0.08, 0.05, 0.03];
 
 /// The roughnesses that fit two models differ by less than this factor.
 const NEAR_RATIO: f32 = 2.0;

@@ -14,6 +14,7 @@
 //! they are looked for with a lobe that is too wide, which lights few cells. The final lights and σ are estimated from
 //! the refined surface afresh.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use faer::linalg::solvers::Solve;
@@ -67,6 +68,9 @@ const SMOOTHINGS: [(usize, f64); 6] = [
     (16, 1.0),
     (64, 1.0),
 ];
+
+/// A surface that leaves so many times as much as a less smooth one is smoothed too much, as all smoother ones are.
+const TOO_MUCH: f64 = 1.25;
 
 /// Most points that take part.
 const POINTS: usize = 24_000;
@@ -227,11 +231,15 @@ fn smoothed(
     let largest = solver.seen.surfaces.iter().map(pixels).max().unwrap_or(0);
     let model = coarse.state.brdf.model;
     let (mut least, mut best) = (f64::INFINITY, None);
+    let mut simpler = (0, Cow::Borrowed(solver.seen.mesh));
     for (coarser, length) in SMOOTHINGS {
         go_on(watch.observer.progress("smoothing the surface", 0.3))?;
-        let triangles = largest.min(MOST_TRIANGLES) / coarser;
-        let mesh = simplified(solver.seen.mesh, triangles);
-        let Some(fairing) = Fairing::smoothing(&mesh, length * spacing(&mesh)) else {
+        if coarser != simpler.0 {
+            let triangles = largest.min(MOST_TRIANGLES) / coarser;
+            simpler = (coarser, Cow::Owned(simplified(solver.seen.mesh, triangles)));
+        }
+        let mesh = &*simpler.1;
+        let Some(fairing) = Fairing::smoothing(mesh, length * spacing(mesh)) else {
             continue;
         };
         let relief = Relief::new(fairing);
@@ -239,6 +247,9 @@ fn smoothed(
         let bench = Bench::new(&smooth, solver.seen.views);
         let again = bench.solver(solver, &smooth);
         let fit = again.compare_sigmas(model, None, watch)?;
+        if fit.unexplained > TOO_MUCH * least {
+            break;
+        }
         if fit.unexplained < least {
             (least, best) = (fit.unexplained, Some(relief));
         }

@@ -5,13 +5,13 @@
 //! wins in more parts of the surface than chance would have it: points are gathered in groups of like normals, and the groups'
 //! differences are ranked (Wilcoxon, "Individual comparisons by ranking methods", 1945). So no single highlight decides.
 
-use std::ops::{ControlFlow, Range};
+use std::ops::{ControlFlow, Range, RangeInclusive};
 use std::sync::atomic::Ordering;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::fast::{SIGMAS, Solver};
+use super::fast::Solver;
 use super::observations::Observations;
 use super::observer::{Stopped, go_on};
 use super::state::{ROUGH, State};
@@ -48,8 +48,10 @@ pub struct Suspicion {
 const GROUPS: usize = 32;
 /// Standard deviations of chance by which a change has to win: one in 740 does so by chance, and there are at most 28.
 pub const SURE: f64 = 3.0;
-/// How much rougher and smoother a lobe is made to see whether its roughness is determined.
+/// How much rougher and smoother a lobe is made to see whether its roughness is determined, and that of a changed fit …
 const ROUGHER: f32 = 1.5;
+/// … within this range of σ, radians.
+const SIGMA_RANGE: RangeInclusive<f32> = 0.01..=0.5;
 /// Rounds of improvement of a changed fit, …
 const ROUNDS: usize = 4;
 /// … which one that starts so much worse than the unchanged one is not worth.
@@ -67,7 +69,8 @@ struct Change<'a> {
     suspect: Suspect,
     observations: &'a Observations,
     near: Option<(Vec3, f32)>,
-    model: SpecularModel,
+    /// The lobes that may fit then; the first is tried at more roughnesses.
+    models: &'a [SpecularModel],
 }
 
 /// A fit on the coarsest cells: what it leaves of the differences between views, one value a point, and its roughness.
@@ -139,17 +142,20 @@ impl Solver<'_> {
     pub fn suspicion(&self, fit: &State<'_>) -> Result<Option<Suspicion>, Stopped> {
         let colour = self.coarse_colours();
         let [decoded, encoded] = [DISPLAY_GAMMA, 1.0 / DISPLAY_GAMMA].map(|g| powered(&colour, g));
+        // Which lobe fits depends on what the numbers mean and on where the lights are.
+        let mut models = SpecularModel::ALL;
+        models.sort_by_key(|&model| model != fit.brdf.model);
         let stated = Change {
             suspect: Suspect::Distant,
             observations: &self.coarse,
             near: self.near,
-            model: fit.brdf.model,
+            models: &models[..1],
         };
         let Some(own) = self.trial(&stated, fit.brdf.sigma, f64::INFINITY)? else {
             return Ok(None);
         };
         let mut best: Option<Suspicion> = None;
-        for change in self.changes(fit.brdf.model, [&decoded, &encoded]) {
+        for change in self.changes(&models, [&decoded, &encoded]) {
             let most = HOPELESS * own.total();
             let Some(trial) = self.trial(&change, fit.brdf.sigma, most)? else {
                 continue;
@@ -229,17 +235,17 @@ impl Solver<'_> {
         left
     }
 
-    /// All changes of what is stated, with each lobe; `powers` are the observations decoded and encoded.
+    /// All changes of what is stated; `powers` are the observations decoded and encoded.
     fn changes<'a>(
         &'a self,
-        model: SpecularModel,
+        models: &'a [SpecularModel],
         powers: [&'a Observations; 2],
     ) -> Vec<Change<'a>> {
         let stated = |suspect| Change {
             suspect,
             observations: &self.coarse,
             near: self.near,
-            model,
+            models,
         };
         let at = |centre, radius| Change {
             near: Some((centre, radius)),
@@ -264,11 +270,7 @@ impl Solver<'_> {
                 ..stated(suspect)
             });
         }
-        // Which lobe fits depends on what the numbers mean and on where the lights are.
-        let of_models = changes
-            .into_iter()
-            .flat_map(|change| SpecularModel::ALL.map(|model| Change { model, ..change }));
-        of_models.collect()
+        changes
     }
 
     /// What a fit with a change leaves; nothing where it starts by leaving more than `most`.
@@ -287,25 +289,53 @@ impl Solver<'_> {
         let roots = self.pyramid.roots();
         let mut design = self.design(change.observations, &roots);
         design.near = change.near;
-        let model = change.model;
-        let dark = State::new(design, roots, Brdf::new(model, sigma));
-        // What is wrong may have led the unchanged fit far from the true roughness.
-        let mut starts = SIGMAS.to_vec();
-        starts.push(sigma);
-        let states: Vec<State<'_>> = (starts.into_par_iter())
-            .map(|sigma| dark.lit_at(sigma))
-            .collect();
+        let dark = State::new(design, roots, Brdf::new(change.models[0], sigma));
+        let start = downhill(&dark, sigma);
+        let others = change.models[1..].par_iter().map(|&model| {
+            let mut state = dark.clone();
+            state.brdf.model = model;
+            state.lit_at(start.brdf.sigma)
+        });
+        let mut states: Vec<State<'_>> = others.collect();
+        states.push(start);
         if self.stop.load(Ordering::Relaxed) {
             go_on(ControlFlow::Break(()))?;
         }
-        let starts = states.into_iter();
-        let best = starts.min_by(|a, b| a.unexplained().total_cmp(&b.unexplained()));
+        let states = states.into_iter();
+        let best = states.min_by(|a, b| a.unexplained().total_cmp(&b.unexplained()));
         let Some(mut state) = best.filter(|state| left(state).iter().sum::<f64>() < most) else {
             return Ok(None);
         };
         self.improve_quietly(&mut state, ROUNDS, ROUGH)?;
         Ok(Some(state))
     }
+}
+
+/// The fit of a dark state at the roughness from which all steps leave more, starting at `sigma`: what is wrong may have led that
+/// far from the true one.
+fn downhill<'s>(dark: &State<'s>, sigma: f32) -> State<'s> {
+    let of = |sigma: f32| {
+        let state = dark.lit_at(sigma);
+        (state.unexplained(), state)
+    };
+    let (mut best, (rougher, smoother)) = (
+        of(sigma),
+        rayon::join(|| of(sigma * ROUGHER), || of(sigma / ROUGHER)),
+    );
+    let (mut next, factor) = if rougher.0 < smoother.0 {
+        (rougher, ROUGHER)
+    } else {
+        (smoother, ROUGHER.recip())
+    };
+    while next.0 < best.0 {
+        best = next;
+        let sigma = best.1.brdf.sigma * factor;
+        if !SIGMA_RANGE.contains(&sigma) {
+            break;
+        }
+        next = of(sigma);
+    }
+    best.1
 }
 
 /// Every channel of every row raised to a power, with its detail to match, in gray.
