@@ -222,8 +222,10 @@ fn open_roughness(coarse: &State<'_>) -> (f32, f32) {
         sum += weight * f64::from(sigma.ln());
         total += weight;
     }
-    let possible = tried.iter().filter(|(_, z)| *z <= SURE);
-    let roughest = possible.map(|(sigma, _)| *sigma).last();
+    let roughest = tried
+        .iter()
+        .rfind(|(_, z)| *z <= SURE)
+        .map(|&(sigma, _)| sigma);
     let own = coarse.brdf.sigma;
     let middle = if total > 0.0 {
         (sum / total).exp() as f32

@@ -50,7 +50,8 @@ const GROUPS: usize = 32;
 pub const SURE: f64 = 3.0;
 /// How much rougher and smoother a lobe is made to see whether its roughness is determined, and that of a changed fit …
 const ROUGHER: f32 = 1.5;
-/// … within this range of σ, radians.
+/// … starting at this σ and within this range, radians.
+const TYPICAL: f32 = 0.1;
 const SIGMA_RANGE: RangeInclusive<f32> = 0.01..=0.5;
 /// Rounds of improvement of a changed fit, …
 const ROUNDS: usize = 4;
@@ -311,17 +312,17 @@ impl Solver<'_> {
     }
 }
 
-/// The fit of a dark state at the roughness from which all steps leave more, starting at `sigma`: what is wrong may have led that
-/// far from the true one.
+/// The fit of a dark state at the roughness from which all steps leave more, starting at `sigma` or at a usual one: what is wrong
+/// may have led the former far from the truth.
 fn downhill<'s>(dark: &State<'s>, sigma: f32) -> State<'s> {
     let of = |sigma: f32| {
         let state = dark.lit_at(sigma);
         (state.unexplained(), state)
     };
-    let (mut best, (rougher, smoother)) = (
-        of(sigma),
-        rayon::join(|| of(sigma * ROUGHER), || of(sigma / ROUGHER)),
-    );
+    let (own, typical) = rayon::join(|| of(sigma), || of(TYPICAL));
+    let mut best = if own.0 < typical.0 { own } else { typical };
+    let sigma = best.1.brdf.sigma;
+    let (rougher, smoother) = rayon::join(|| of(sigma * ROUGHER), || of(sigma / ROUGHER));
     let (mut next, factor) = if rougher.0 < smoother.0 {
         (rougher, ROUGHER)
     } else {
