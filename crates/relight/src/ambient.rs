@@ -1,28 +1,59 @@
 //! Light that casts no highlight: a uniform ambient part that only the diffuse texture shows.
 //!
-//! Where a shadow falls, irradiance drops from E₁ to E₂ within a small distance and the albedo mostly does not:
-//! D₁/(E₁ + a) = D₂/(E₂ + a), with a the ambient irradiance. Every such pair of places says
-//! a = (D₂E₁ − D₁E₂)/(D₁ − D₂). The median over all pairs is not moved by the texture's own edges, which are as
-//! often brighter on one side as on the other; the quartile says whether the pairs agree that there is any.
+//! Where irradiance falls from E₁ to E₂ within a small distance, in a shadow or on a side that is turned away, the albedo mostly
+//! does not: ρ₁ = D₁/(E₁ + a) and ρ₂ = D₂/(E₂ + a) are alike, with a the ambient irradiance. So a is where the contrasts
+//! |ρ₁ − ρ₂|/(ρ₁ + ρ₂) of all such pairs of places have the least sum. The texture's own edges do not move it: they are as
+//! often brighter on one side as on the other. There is ambient light only if it makes contrasts less beyond chance.
 
 use glam::Vec3;
 use rayon::prelude::*;
+use rekindle_base::math::ranks::signed_ranks;
 
-/// Edges to walk at most from the light into the shadow.
+/// Edges to walk at most from a place to a darker one.
 const STEPS: usize = 12;
-/// Part of the irradiance that the shadowed end of a pair may have.
+/// Part of the irradiance at which a walk is at its end, …
 const SHADOWED: f32 = 0.15;
+/// … and of which its end may have most: a pair of places that are lit alike says little.
+const DARKER: f32 = 0.7;
 /// Part of the typical irradiance that the lit end must have.
 const LIT: f32 = 0.25;
 /// Pairs below which nothing is said.
 const MIN_PAIRS: usize = 64;
 /// Ambient irradiance below this part of the typical one is taken for error of what was subtracted before.
 const SIGNIFICANT: f32 = 0.03;
+/// Ambient irradiances that are compared, as parts of the typical one: the least, the most and the step. The minimum is then
+/// found to so many steps of a part of that.
+const LEAST: f32 = 0.01;
+const MOST: f32 = 10.0;
+const STEP: f32 = 1.25;
+const FINER: i32 = 8;
+/// Standard deviations of chance by which contrasts have to become less.
+const SURE: f64 = 3.0;
 
 /// Mean diffuse radiance and irradiance around each place of the mesh; `None` where no view saw it.
 pub(super) struct Lit {
     pub radiance: Vec3,
     pub irradiance: Vec3,
+}
+
+/// One channel of a place that is lit and of one nearby that is lit less.
+struct Pair {
+    radiance: [f32; 2],
+    irradiance: [f32; 2],
+}
+
+impl Pair {
+    /// Contrast of the albedos under an ambient irradiance, 0 to 1.
+    fn contrast(&self, ambient: f32) -> f64 {
+        let [bright, dark] = self.irradiance.map(|e| e + ambient);
+        let (one, other) = (self.radiance[0] * dark, self.radiance[1] * bright);
+        let sum = one + other;
+        if sum > 0.0 {
+            f64::from((one - other).abs() / sum)
+        } else {
+            0.0
+        }
+    }
 }
 
 /// The ambient irradiance, RGB. `around` lists the neighbours of a place, `typical` is the irradiance of a well-lit one.
@@ -38,62 +69,89 @@ pub(super) fn ambient_irradiance<'a>(
             if mean(lit.irradiance) < LIT * typical {
                 return None;
             }
-            let shadowed = places[walk_into_shadow(places, around, p)?].as_ref()?;
-            Some((lit, shadowed))
+            let darker = places[walk_down(places, around, p)?].as_ref()?;
+            Some((lit, darker))
         })
         .collect();
     if pairs.len() < MIN_PAIRS {
         return Vec3::ZERO;
     }
-    // Quotients with their weights: a pair says the more the larger the step of its radiance.
-    let quantile = |part: f32, of: &(dyn Fn(Vec3) -> f32 + Sync)| {
-        let mut said: Vec<f32> = pairs
-            .par_iter()
-            .filter_map(|(lit, shadowed)| {
-                let (d1, d2) = (of(lit.radiance), of(shadowed.radiance));
-                let (e1, e2) = (of(lit.irradiance), of(shadowed.irradiance));
-                (d1 > d2).then(|| (d2 * e1 - d1 * e2) / (d1 - d2))
-            })
-            .collect();
-        if said.len() < MIN_PAIRS {
-            return 0.0;
-        }
-        let at = ((said.len() - 1) as f32 * part) as usize;
-        *said.select_nth_unstable_by(at, f32::total_cmp).1
+    let of = |channel: &(dyn Fn(Vec3) -> f32 + Sync)| -> Vec<Pair> {
+        let pair = |&(lit, darker): &(&Lit, &Lit)| Pair {
+            radiance: [lit, darker].map(|place| channel(place.radiance).max(0.0)),
+            irradiance: [lit, darker].map(|place| channel(place.irradiance)),
+        };
+        pairs.par_iter().map(pair).collect()
     };
-    if quantile(0.25, &mean) <= 0.0 || quantile(0.5, &mean) < SIGNIFICANT * typical {
+    let gray = of(&mean);
+    let found = least_contrast(&gray, typical);
+    let contrasts = |ambient| -> Vec<f64> { gray.iter().map(|p| p.contrast(ambient)).collect() };
+    if std::env::var("RK_AMB").is_ok() {
+        eprintln!(
+            "ambient pairs {} found {} of typical {} z {} sums {} {}",
+            gray.len(),
+            found,
+            typical,
+            signed_ranks(&contrasts(0.0), &contrasts(found)),
+            contrasts(0.0).iter().sum::<f64>(),
+            contrasts(found).iter().sum::<f64>()
+        );
+    }
+    if found < SIGNIFICANT * typical || signed_ranks(&contrasts(0.0), &contrasts(found)) <= SURE {
         return Vec3::ZERO;
     }
-    Vec3::from([0, 1, 2].map(|channel| quantile(0.5, &|v: Vec3| v[channel]).max(0.0)))
+    Vec3::from([0, 1, 2].map(|channel| least_contrast(&of(&|v: Vec3| v[channel]), typical)))
+}
+
+/// The ambient irradiance under which the contrasts have the least sum.
+fn least_contrast(pairs: &[Pair], typical: f32) -> f32 {
+    let sum = |ambient: f32| -> f64 {
+        pairs
+            .par_chunks(4096)
+            .map(|some| some.iter().map(|p| p.contrast(ambient)).sum::<f64>())
+            .collect::<Vec<_>>()
+            .iter()
+            .sum()
+    };
+    let least = |values: &mut dyn Iterator<Item = f32>| {
+        let with_sums = values.map(|a| (a, sum(a)));
+        let least = with_sums.min_by(|a, b| a.1.total_cmp(&b.1));
+        least.map_or(0.0, |(a, _)| a)
+    };
+    let steps = ((MOST / LEAST).ln() / STEP.ln()) as i32;
+    let coarse = (0..=steps).map(|k| LEAST * typical * STEP.powi(k));
+    let found = least(&mut std::iter::once(0.0).chain(coarse));
+    let finer = STEP.powf(1.0 / FINER as f32);
+    least(&mut (-FINER..=FINER).map(|k| found * finer.powi(k)))
 }
 
 fn mean(v: Vec3) -> f32 {
     v.element_sum() / 3.0
 }
 
-/// The first place in the shadow on the way from `start` down the steepest descent of irradiance.
-fn walk_into_shadow<'a>(
+/// The last place on the way from `start` down the steepest descent of irradiance, if it is clearly darker.
+fn walk_down<'a>(
     places: &[Option<Lit>],
     around: &(dyn Fn(usize) -> &'a [u32] + Sync),
     start: usize,
 ) -> Option<usize> {
     let irradiance = |p: usize| places[p].as_ref().map(|lit| mean(lit.irradiance));
     let first = irradiance(start)?;
-    let mut here = start;
+    let (mut here, mut least) = (start, first);
     for _ in 0..STEPS {
-        let (darkest, least) = around(here)
+        let next = around(here)
             .iter()
             .filter_map(|&n| irradiance(n as usize).map(|e| (n as usize, e)))
-            .min_by(|a, b| a.1.total_cmp(&b.1))?;
-        if least >= irradiance(here)? {
-            return None;
+            .min_by(|a, b| a.1.total_cmp(&b.1));
+        match next {
+            Some((darkest, e)) if e < least => (here, least) = (darkest, e),
+            _ => break,
         }
         if least <= SHADOWED * first {
-            return Some(darkest);
+            break;
         }
-        here = darkest;
     }
-    None
+    (least <= DARKER * first).then_some(here)
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ pub mod groups;
 pub mod morton;
 pub mod nnls;
 pub mod random;
+pub mod ranks;
 pub mod rounding;
 pub mod sparse;
 pub mod vector;

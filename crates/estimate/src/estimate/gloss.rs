@@ -19,8 +19,8 @@ use super::design::{Design, Prediction};
 use super::fast::Solver;
 use super::observations::{Observations, Point, Sampling, Seen};
 use super::state::State;
-use super::suspects::signed_ranks;
 use super::weights::{deviation, eliminate, log_diffuse, magnitude, median};
+use rekindle_base::math::ranks::signed_ranks;
 use rekindle_scene::reflectance::{Brdf, Gloss};
 use rekindle_scene::surface::{GlossParts, PartPoint, likeness};
 

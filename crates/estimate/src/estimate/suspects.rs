@@ -16,6 +16,7 @@ use super::observations::Observations;
 use super::observer::{Stopped, go_on};
 use super::state::{ROUGH, State};
 use super::weights::magnitude;
+use rekindle_base::math::ranks::signed_ranks;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 
 /// An assumption that the photographs contradict.
@@ -44,8 +45,6 @@ pub struct Suspicion {
     pub sigma_ratio: f32,
 }
 
-/// Groups of points whose differences are ranked.
-const GROUPS: usize = 32;
 /// Standard deviations of chance by which a change has to win: one in 740 does so by chance, and there are at most 28.
 pub const SURE: f64 = 3.0;
 /// How much rougher and smoother a lobe is made to see whether its roughness is determined, and that of a changed fit …
@@ -107,24 +106,6 @@ pub fn left(state: &State<'_>) -> Vec<f64> {
     (observations.points.iter())
         .map(|point| scale * of_point(point.rows.clone()))
         .collect()
-}
-
-/// By how many standard deviations of chance the second leaves less than the first: Wilcoxon's signed ranks of the differences
-/// between groups of points that follow each other.
-pub fn signed_ranks(first: &[f64], second: &[f64]) -> f64 {
-    let size = first.len().div_ceil(GROUPS).max(1);
-    let sum = |values: &[f64]| values.iter().sum::<f64>();
-    let mut differences: Vec<f64> = (first.chunks(size).zip(second.chunks(size)))
-        .map(|(a, b)| sum(a) - sum(b))
-        .filter(|d| *d != 0.0)
-        .collect();
-    differences.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
-    let n = differences.len() as f64;
-    let signed: f64 = (differences.iter().enumerate())
-        .map(|(rank, d)| (rank + 1) as f64 * d.signum())
-        .sum();
-    // The variance of the sum of n signed ranks is n (n + 1) (2n + 1) / 6.
-    signed / (n * (n + 1.0) * (2.0 * n + 1.0) / 6.0).max(1.0).sqrt()
 }
 
 /// Whether a coarse fit's roughness stands out against a rougher and a smoother one: neither of them may do as well in so

@@ -1,0 +1,45 @@
+//! Comparing two explanations of the same data without a model of the noise.
+
+/// Groups of values whose differences are ranked.
+const GROUPS: usize = 32;
+
+/// By how many standard deviations of chance the values of `second` are less than those of `first`: Wilcoxon's signed ranks
+/// ("Individual comparisons by ranking methods", 1945) of the differences between groups of values that follow each other, so that no
+/// single value decides. Both have the same length.
+pub fn signed_ranks(first: &[f64], second: &[f64]) -> f64 {
+    let size = first.len().div_ceil(GROUPS).max(1);
+    let sum = |values: &[f64]| values.iter().sum::<f64>();
+    let mut differences: Vec<f64> = (first.chunks(size).zip(second.chunks(size)))
+        .map(|(a, b)| sum(a) - sum(b))
+        .filter(|d| *d != 0.0)
+        .collect();
+    differences.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+    let n = differences.len() as f64;
+    let signed: f64 = (differences.iter().enumerate())
+        .map(|(rank, d)| (rank + 1) as f64 * d.signum())
+        .sum();
+    // The variance of the sum of n signed ranks is n (n + 1) (2n + 1) / 6.
+    signed / (n * (n + 1.0) * (2.0 * n + 1.0) / 6.0).max(1.0).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_less_everywhere_is_sure_and_what_is_less_by_chance_is_not() {
+        let first: Vec<f64> = (0..640).map(|i| 1.0 + (f64::from(i) * 0.7).sin()).collect();
+        let less: Vec<f64> = first.iter().map(|v| 0.9 * v).collect();
+        assert!(signed_ranks(&first, &less) > 4.0);
+        assert!(signed_ranks(&less, &first) < -4.0);
+        let mixed: Vec<f64> = (first.iter().enumerate())
+            .map(|(i, v)| v * if i / 20 % 2 == 0 { 0.9 } else { 1.1 })
+            .collect();
+        assert!(signed_ranks(&first, &mixed).abs() < 1.5);
+        // All the gain in one place.
+        let mut single = first.clone();
+        single[5] = -1e6;
+        assert!(signed_ranks(&first, &single) < 2.0);
+        assert_eq!(signed_ranks(&first, &first), 0.0);
+    }
+}
