@@ -22,7 +22,7 @@ pub enum Verdict {
     Noted,
     /// Something contradicts the result.
     Doubtful,
-    /// No lights were found.
+    /// No highlights were found.
     Failed,
 }
 
@@ -63,7 +63,7 @@ impl Verdict {
             Self::Failed => (
                 "Failed",
                 Mark::Error,
-                "No lights were recovered. The object has its colours, but no highlights; lights can still be added.",
+                "No highlights were found. The object has its colours, and what light its shading tells of; lights can be added.",
             ),
         }
     }

@@ -328,16 +328,18 @@ pub(super) fn solve_capture(
 
 /// What was found, in a line.
 pub(super) fn describe(solution: &Solution) -> String {
+    let lights = match solution.lamps.len() {
+        1 => "1 light".to_owned(),
+        count => format!("{count} lights"),
+    };
     match solution.brdf {
-        Some(brdf) => format!(
-            "{} (σ {:.4}), {} light{}",
-            solution.surface_in_words(),
-            brdf.sigma,
-            solution.lamps.len(),
-            if solution.lamps.len() == 1 { "" } else { "s" }
-        ),
-        None => {
+        Some(brdf) => {
+            let surface = solution.surface_in_words();
+            format!("{surface} (σ {:.4}), {lights}", brdf.sigma)
+        }
+        None if solution.lamps.is_empty() => {
             "no specular part was found; the solution holds the diffuse texture only".to_owned()
         }
+        None => format!("no specular part was found; {lights} by the shading alone"),
     }
 }

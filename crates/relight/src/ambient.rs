@@ -86,17 +86,6 @@ pub(super) fn ambient_irradiance<'a>(
     let gray = of(&mean);
     let found = least_contrast(&gray, typical);
     let contrasts = |ambient| -> Vec<f64> { gray.iter().map(|p| p.contrast(ambient)).collect() };
-    if std::env::var("RK_AMB").is_ok() {
-        eprintln!(
-            "ambient pairs {} found {} of typical {} z {} sums {} {}",
-            gray.len(),
-            found,
-            typical,
-            signed_ranks(&contrasts(0.0), &contrasts(found)),
-            contrasts(0.0).iter().sum::<f64>(),
-            contrasts(found).iter().sum::<f64>()
-        );
-    }
     if found < SIGNIFICANT * typical || signed_ranks(&contrasts(0.0), &contrasts(found)) <= SURE {
         return Vec3::ZERO;
     }

@@ -485,7 +485,7 @@ fn the_result_card_says_what_a_solve_is_worth_and_what_to_do() {
     let failed = folder.path().join("failed");
     solution.save(&failed).expect("saved");
     let window = self::window(&failed);
-    assert!(has_part(&window, "No lights were recovered."));
+    assert!(has_part(&window, "No highlights were found."));
     assert!(has_part(&window, "Failed"));
 }
 

@@ -71,7 +71,11 @@ const LEAST_SHARPNESS: f64 = 0.05;
 /// What is said where no specular part is found.
 pub const NO_SPECULAR: &str = "No specular part was found: no lights explain how the views differ. Either the object is purely diffuse, \
     or its highlights are smaller than a pixel or clipped, or the cameras are off by more than a highlight is wide. Everything is \
-    taken as diffuse; without highlights the lighting can't be recovered.";
+    taken as diffuse.";
+
+/// What is said where the light is what the shading says.
+pub const BY_SHADING: &str = "The lighting was taken from the shading alone, as if the texture were even: it is broad, white, and its \
+    strength is open. Relit pictures are rough. A glossy ball beside the object, or a lamp, would tell more.";
 
 /// Why diffuse and specular parts can't be told apart in this capture, if they can't.
 pub fn unseparable(capture: &Capture, observations: &Observations) -> Option<String> {

@@ -573,9 +573,8 @@ fn weights(observations: &Observations, noise: f32) -> Vec<f32> {
     weights
 }
 
-/// Who lies beside each point, with bonds that colours weaken, and the contrast that does.
-pub fn bonds(observations: &Observations, colours: &[Vec3]) -> (Vec<Vec<(u32, f32)>>, f32) {
-    let points = &observations.points;
+/// The nearest points of each that face the same side.
+pub fn beside(points: &[Point]) -> Vec<Vec<u32>> {
     let placed = points.iter().enumerate();
     let placed = placed.map(|(i, p)| GeomWithData::new(p.position.to_array(), i as u32));
     let tree: RTree<GeomWithData<[f32; 3], u32>> = RTree::bulk_load(placed.collect());
@@ -586,7 +585,12 @@ pub fn bonds(observations: &Observations, colours: &[Vec3]) -> (Vec<Vec<(u32, f3
             .take(NEIGHBOURS)
             .collect()
     };
-    let beside: Vec<Vec<u32>> = points.par_iter().enumerate().map(beside).collect();
+    points.par_iter().enumerate().map(beside).collect()
+}
+
+/// Who lies beside each point, with bonds that colours weaken, and the contrast that does.
+pub fn bonds(observations: &Observations, colours: &[Vec3]) -> (Vec<Vec<(u32, f32)>>, f32) {
+    let beside = beside(&observations.points);
     let pairs = beside.iter().zip(colours);
     let mut steps: Vec<f32> = pairs
         .flat_map(|(near, own)| near.iter().map(|&j| own.distance(colours[j as usize])))

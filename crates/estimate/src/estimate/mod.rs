@@ -23,6 +23,7 @@ pub mod misfit;
 pub mod observations;
 mod observer;
 mod relief;
+mod shading;
 mod spread;
 mod state;
 mod strengths;
@@ -57,6 +58,7 @@ use observations::Seen;
 pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 pub use observer::{Watcher, watched};
 pub use relief::RefinedSurface;
+use shading::light_by_shading;
 use suspects::Suspicion;
 use workspace::Workspace;
 
@@ -135,7 +137,8 @@ pub struct Estimate {
     pub sigma_interval95: Option<[f32; 2]>,
     /// The nodes: those of the input, with those below the horizon where light comes from there.
     pub grid: HemisphereGrid,
-    /// Radiance per node of the grid, RGB, in the capture's units; all zero without a specular part.
+    /// Radiance per node of the grid, RGB, in the capture's units; without a specular part what the
+    /// shading says, or all zero.
     pub radiance: Vec<[f32; 3]>,
     /// What it is worth.
     pub diagnostics: Diagnostics,
@@ -334,7 +337,14 @@ fn run(
         exposures: evens.then_some(start.rounds > 0),
     };
     match course::run(&solver, rules, &mut watch)? {
-        Outcome::Nothing(reason) => result.diagnostics.warnings.push(reason),
+        Outcome::Nothing(reason) => {
+            result.diagnostics.warnings.push(reason);
+            if let Some((grid, nodes)) = light_by_shading(&solver) {
+                let said = diagnose::BY_SHADING.to_owned();
+                result.diagnostics.warnings.push(said);
+                (result.grid, result.radiance) = (grid, nodes);
+            }
+        }
         Outcome::Found(ending) => {
             let ended = watch.observer.enough();
             accept(&mut result, &solver, *ending);

@@ -24,6 +24,12 @@ static NEVER: AtomicBool = AtomicBool::new(false);
 static WORKSPACE: Workspace = Workspace::new();
 static SHORTCUTS: LazyLock<Shortcuts> = LazyLock::new(Shortcuts::default);
 
+/// Where the lamps of `spot_paper` are, from its truth.json; their green irradiances are 2.353 and 1.647.
+const LAMPS: [Vec3; 2] = [
+    Vec3::new(-0.619_74, 0.587_79, 0.520_03),
+    Vec3::new(0.405_58, std::f32::consts::FRAC_1_SQRT_2, 0.579_23),
+];
+
 fn load() -> Capture {
     load_named("spot_paper")
 }
@@ -67,6 +73,12 @@ fn fast(capture: &Capture) -> Estimate {
     run_on(capture, Method::Fast, &mut Unobserved).unwrap()
 }
 
+/// Whether there is no light, and everything was left to the diffuse part for a reason that contains `words`.
+fn is_dark(found: &Estimate, words: &str) {
+    assert!(found.radiance.iter().flatten().all(|&v| v == 0.0), "light");
+    is_diffuse_only(found, words);
+}
+
 /// Whether everything was left to the diffuse part, and the reason given contains `words`.
 fn is_diffuse_only(found: &Estimate, words: &str) {
     let d = &found.diagnostics;
@@ -74,7 +86,6 @@ fn is_diffuse_only(found: &Estimate, words: &str) {
         found.brdf.is_none() && !d.well_posed && !d.specular_found,
         "{d:?}"
     );
-    assert!(found.radiance.iter().flatten().all(|&v| v == 0.0), "light");
     assert!(d.warnings.iter().any(|w| w.contains(words)), "{d:?}");
 }
 
@@ -92,7 +103,7 @@ fn true_diffuse(capture: &Capture) -> Vec<Vec<[f32; 3]>> {
 fn a_single_view_is_left_diffuse() {
     let mut capture = load();
     capture.views.truncate(1);
-    is_diffuse_only(&fast(&capture), "single view");
+    is_dark(&fast(&capture), "single view");
 }
 
 #[test]
@@ -112,18 +123,51 @@ fn views_without_a_common_surface_are_left_diffuse() {
             }
         }
     }
-    is_diffuse_only(&fast(&capture), "seen clearly by two views");
+    is_dark(&fast(&capture), "seen clearly by two views");
 }
 
 #[test]
-fn a_purely_diffuse_object_is_left_diffuse() {
+fn a_purely_diffuse_object_is_left_diffuse_and_lit_by_its_shading() {
     let mut capture = load();
     for (picture, view) in true_diffuse(&capture).into_iter().zip(&mut capture.views) {
         Arc::make_mut(&mut view.photograph).radiance = picture;
     }
-    is_diffuse_only(&fast(&capture), "No specular part");
     let reference = run_on(&capture, Method::Amuh, &mut Unobserved).unwrap();
-    is_diffuse_only(&reference, "No specular part");
+    is_dark(&reference, "No specular part");
+    let found = fast(&capture);
+    is_diffuse_only(&found, "No specular part");
+    is_diffuse_only(&found, "from the shading alone");
+    // Irradiance over the directions of normals, found and true.
+    let normals = HemisphereGrid::new(8, Vec3::Y, None, Vec3::ZERO).to_whole();
+    let lit = |normal: &Vec3, lights: &mut dyn Iterator<Item = (Vec3, f32)>| -> f64 {
+        lights
+            .map(|(to, flux)| f64::from(flux * normal.dot(to).max(0.0)))
+            .sum()
+    };
+    let nodes = || found.grid.directions.iter().copied().zip(&found.radiance);
+    let lamps = LAMPS.into_iter().zip([2.353, 1.647]);
+    let irradiance: Vec<[f64; 2]> = (normals.directions.iter())
+        .map(|n| {
+            [
+                lit(n, &mut nodes().map(|(to, l)| (to, l[1]))),
+                lit(n, &mut lamps.clone()),
+            ]
+        })
+        .collect();
+    let correlation = correlation(&irradiance);
+    assert!(correlation > 0.95, "{correlation}");
+}
+
+/// Of pairs of values.
+fn correlation(pairs: &[[f64; 2]]) -> f64 {
+    let mean = [0, 1].map(|k| pairs.iter().map(|p| p[k]).sum::<f64>() / pairs.len() as f64);
+    let product = |a: usize, b: usize| -> f64 {
+        pairs
+            .iter()
+            .map(|p| (p[a] - mean[a]) * (p[b] - mean[b]))
+            .sum()
+    };
+    product(0, 1) / (product(0, 0) * product(1, 1)).sqrt()
 }
 
 #[test]
@@ -187,10 +231,7 @@ fn a_mesh_coarser_than_the_highlights_is_refined() {
 fn lamps_of_spot_paper_are_found(found: &Estimate) {
     let lamps = find_lamps(&found.grid, &found.radiance);
     assert!(lamps.len() >= 2, "{:?}", found.diagnostics);
-    for truth in [
-        Vec3::new(-0.619_74, 0.587_79, 0.520_03),
-        Vec3::new(0.405_58, std::f32::consts::FRAC_1_SQRT_2, 0.579_23),
-    ] {
+    for truth in LAMPS {
         let off = lamps[..2]
             .iter()
             .map(|lamp| lamp.direction.angle_between(truth).to_degrees())

@@ -1,0 +1,244 @@
+//! Light from shading, where no gloss tells of it.
+//!
+//! The albedo of a surface mostly stays the same from one point to the next, and the light on it does not. So the light x ≥ 0 on
+//! broad cells all around is sought under which the albedos ρ = (D + d)/(E(x) + e) of neighbouring points differ least, as the
+//! minimum of
+//!
+//! `Σ log(1 + log²(ρ₁/ρ₂)/κ²) + λ Σ (xᵢ − xⱼ)²`
+//!
+//! with E of mean 1. Edges of the texture say little there, nor does what is nearly black: d and e are a part of the means. It is
+//! what Retinex takes for shading (Land and McCann, "Lightness and Retinex theory", 1971), with shape and shadows known. λ is
+//! what explains points that had no say best. The light is broad, white, and known up to its strength.
+
+use faer::Mat;
+use rayon::prelude::*;
+
+use super::cells::{Cell, Pyramid};
+use super::fast::Solver;
+use super::gloss::beside;
+use super::observations::Point;
+use super::suspects::SURE;
+use super::weights::{magnitude, median};
+use rekindle_base::math::nnls::{self, NnlsParams};
+use rekindle_base::math::ranks::signed_ranks;
+use rekindle_scene::hemisphere::HemisphereGrid;
+
+/// Points that are looked at, and frequency of the grid of the cells: 162 of them, 16° apart.
+const POINTS: usize = 3000;
+const FREQUENCY: u32 = 4;
+
+/// How much cells are held to their neighbours, as parts of the mean diagonal of the equations.
+const SMOOTHNESS: [f64; 5] = [1e-3, 1e-2, 0.1, 1.0, 10.0];
+
+/// Rounds in which weights and light take turns, and the change of the light that ends them, relative.
+const ROUNDS: usize = 20;
+const SETTLED: f64 = 1e-3;
+/// Part of the means of radiance and irradiance that counts as nearly black.
+const DARK: f64 = 0.1;
+/// Difference that noise makes at least.
+const LEAST_DIFFERENCE: f64 = 0.01;
+
+/// Mean albedo that an object is taken to have, as the light's strength is open.
+const MEAN_ALBEDO: f64 = 0.5;
+
+/// What shading is looked at on.
+struct Shading {
+    /// Mean diffuse radiance, gray, in units of the observations' scale.
+    usual: f64,
+    /// That of each point over the mean.
+    radiance: Vec<f64>,
+    /// Mean over the points of the irradiance by unit radiance of each cell.
+    mean: Vec<f64>,
+    /// Irradiance of each point by unit radiance of each cell, point by point.
+    irradiance: Vec<Vec<f64>>,
+    /// Neighbours.
+    pairs: Vec<[usize; 2]>,
+    /// Cells that lie beside each other.
+    joined: Vec<[usize; 2]>,
+    cells: usize,
+}
+
+/// Radiance per node of a grid all around, gray and in the capture's units; `None` where it makes the albedo no evener than light
+/// from everywhere would, beyond chance.
+pub fn light_by_shading(solver: &Solver<'_>) -> Option<(HemisphereGrid, Vec<[f32; 3]>)> {
+    let grid = solver.grid.to_whole();
+    let pyramid = Pyramid::new(&grid, FREQUENCY);
+    let cells = pyramid.roots();
+    let shading = Shading::new(solver, &pyramid, &cells);
+    let halves = [0, 1].map(|half| shading.some(|pair| pair % 2 == half));
+    let (smoothness, judged) = SMOOTHNESS
+        .into_par_iter()
+        .map(|smoothness| {
+            let judged = [0, 1].map(|half| {
+                let x = shading.light(&halves[half], smoothness);
+                shading.contrasts(&halves[1 - half], &x)
+            });
+            (smoothness, judged.concat())
+        })
+        .min_by(|a, b| a.1.iter().sum::<f64>().total_cmp(&b.1.iter().sum()))?;
+    let even = shading.normalised(vec![1.0; cells.len()]);
+    let even = [1, 0].map(|half| shading.contrasts(&halves[half], &even));
+    if signed_ranks(&even.concat(), &judged) <= SURE {
+        return None;
+    }
+    let x = shading.light(&shading.pairs, smoothness);
+    let unit = f64::from(solver.coarse.scale) * shading.usual / MEAN_ALBEDO;
+    let radiance: Vec<[f32; 3]> = x.iter().map(|v| [(unit * v) as f32; 3]).collect();
+    let nodes = pyramid.to_nodes(&cells, &radiance);
+    Some((grid, nodes))
+}
+
+impl Shading {
+    fn new(solver: &Solver<'_>, pyramid: &Pyramid, cells: &[Cell]) -> Self {
+        let observations = solver.colours(POINTS);
+        let gray = |point: &Point| {
+            let rows = observations.rows[point.rows.clone()].iter();
+            let mut values: Vec<f32> = rows.map(|row| magnitude(row.radiance)).collect();
+            f64::from(median(&mut values))
+        };
+        let radiance: Vec<f64> = observations.points.iter().map(gray).collect();
+        let geometry = pyramid.geometry(cells);
+        let irradiance = |point: &Point| -> Vec<f64> {
+            let origin = solver.occluder.offset_origin(point.position, point.normal);
+            let of = |k: usize| {
+                let (to, falloff) = match solver.near {
+                    None => (geometry.directions[k], 1.0),
+                    Some((centre, radius)) => {
+                        let to = centre + radius * geometry.directions[k] - point.position;
+                        (
+                            to.normalize_or_zero(),
+                            radius * radius / to.length_squared().max(1e-12),
+                        )
+                    }
+                };
+                let cosine = point.normal.dot(to);
+                if cosine <= 0.0 || solver.occluder.occluded(origin, to, f32::INFINITY) {
+                    return 0.0;
+                }
+                f64::from(falloff * cosine * geometry.solid_angles[k])
+            };
+            (0..cells.len()).map(of).collect()
+        };
+        let beside = beside(&observations.points);
+        let pairs = beside.iter().enumerate().flat_map(|(p, near)| {
+            let others = near.iter().map(|&q| q as usize);
+            others.filter(move |&q| p < q).map(move |q| [p, q])
+        });
+        let joined = cells.iter().enumerate().flat_map(|(i, &cell)| {
+            let others = pyramid.neighbours(cell).map(|other| other.node as usize);
+            others.filter(move |&j| i < j).map(move |j| [i, j])
+        });
+        let usual = mean(&radiance).max(f64::MIN_POSITIVE);
+        let irradiance: Vec<Vec<f64>> = observations.points.par_iter().map(irradiance).collect();
+        let of_cell = |k: usize| mean(&irradiance.iter().map(|row| row[k]).collect::<Vec<_>>());
+        Self {
+            usual,
+            radiance: radiance.iter().map(|d| d / usual).collect(),
+            mean: (0..cells.len()).map(of_cell).collect(),
+            irradiance,
+            pairs: pairs.collect(),
+            joined: joined.collect(),
+            cells: cells.len(),
+        }
+    }
+
+    /// Pairs whose first point is among some.
+    fn some(&self, keep: impl Fn(usize) -> bool) -> Vec<[usize; 2]> {
+        self.pairs
+            .iter()
+            .copied()
+            .filter(|pair| keep(pair[0]))
+            .collect()
+    }
+
+    /// Irradiance of each point.
+    fn lit(&self, x: &[f64]) -> Vec<f64> {
+        let sum = |row: &Vec<f64>| row.iter().zip(x).map(|(f, v)| f * v).sum();
+        self.irradiance.par_iter().map(sum).collect()
+    }
+
+    /// Logarithm of the ratio of each pair's albedos under a light.
+    fn differences(&self, pairs: &[[usize; 2]], lit: &[f64]) -> Vec<f64> {
+        let albedo = |p: usize| ((self.radiance[p] + DARK) / (lit[p] + DARK)).ln();
+        pairs.iter().map(|&[p, q]| albedo(p) - albedo(q)).collect()
+    }
+
+    /// How far each pair's albedos differ under a light.
+    fn contrasts(&self, pairs: &[[usize; 2]], x: &[f64]) -> Vec<f64> {
+        let differences = self.differences(pairs, &self.lit(x)).into_iter();
+        differences.map(f64::abs).collect()
+    }
+
+    /// The light by which the mean irradiance is 1.
+    fn normalised(&self, mut x: Vec<f64>) -> Vec<f64> {
+        let mean = mean(&self.lit(&x));
+        if mean > 0.0 {
+            x.iter_mut().for_each(|v| *v /= mean);
+        }
+        x
+    }
+
+    /// The light of least differences.
+    fn light(&self, pairs: &[[usize; 2]], smoothness: f64) -> Vec<f64> {
+        let mut x = self.normalised(vec![1.0; self.cells]);
+        for _ in 0..ROUNDS {
+            let next = self.improved(pairs, smoothness, &x);
+            let change: f64 = next.iter().zip(&x).map(|(a, b)| (a - b).abs()).sum();
+            let all: f64 = x.iter().sum();
+            x = next;
+            if change < SETTLED * all {
+                break;
+            }
+        }
+        x
+    }
+
+    /// A Gauss-Newton step from a light, with the weights that it gives.
+    fn improved(&self, pairs: &[[usize; 2]], smoothness: f64, x: &[f64]) -> Vec<f64> {
+        let n = self.cells;
+        let lit = self.lit(x);
+        let differences = self.differences(pairs, &lit);
+        let mut sizes: Vec<f32> = differences.iter().map(|d| d.abs() as f32).collect();
+        let usual = f64::from(median(&mut sizes)).max(LEAST_DIFFERENCE);
+        let weights: Vec<f64> = (differences.iter())
+            .map(|d| (1.0 + (d / usual).powi(2)).sqrt().recip())
+            .collect();
+        let slope = |p: usize, k: usize| self.irradiance[p][k] / (lit[p] + DARK);
+        let rows = Mat::from_fn(pairs.len(), n, |row, k| {
+            let [p, q] = pairs[row];
+            weights[row] * (slope(p, k) - slope(q, k))
+        });
+        let here = Mat::from_fn(n, 1, |k, _| x[k]);
+        let said = &rows * &here;
+        let said = Mat::from_fn(pairs.len(), 1, |row, _| {
+            said[(row, 0)] + weights[row] * differences[row]
+        });
+        let mut gram = rows.transpose() * &rows;
+        let right = rows.transpose() * &said;
+        let diagonal = (0..n).map(|k| gram[(k, k)]).sum::<f64>() / n as f64;
+        for &[i, j] in &self.joined {
+            let weight = smoothness * diagonal;
+            gram[(i, i)] += weight;
+            gram[(j, j)] += weight;
+            gram[(i, j)] -= weight;
+            gram[(j, i)] -= weight;
+        }
+        // Only ratios count: the mean irradiance is held.
+        let held = diagonal * n as f64;
+        for i in 0..n {
+            for j in 0..n {
+                gram[(i, j)] += held * self.mean[i] * self.mean[j];
+            }
+        }
+        let right: Vec<f64> = (0..n)
+            .map(|k| right[(k, 0)] + held * self.mean[k])
+            .collect();
+        let mut next = x.to_vec();
+        nnls::solve(gram.as_ref(), &right, &mut next, &NnlsParams::default());
+        self.normalised(next)
+    }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
+}
