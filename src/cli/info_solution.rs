@@ -35,7 +35,7 @@ fn text(solution: &Solution) -> String {
         let model = format!("{:?}", brdf.model).to_lowercase();
         line("specular", format!("{model}: {}", solution.chosen_because));
     } else {
-        let none = "no specular part was found: roughness and lights are unknown";
+        let none = "no specular part was found: it is unknown, and light is what the shading tells";
         line("roughness", none.to_owned());
     }
     for lamp in &solution.lamps {

@@ -15,6 +15,7 @@ use super::irradiance::texel_irradiance;
 use super::render::Scene;
 use super::shading::{Shader, ambient_gain};
 use super::triangle_shares::TriangleShares;
+use rekindle_scene::reflectance::SpecularModel;
 use rekindle_scene::surface::Atlas;
 
 /// Irradiance below this part of the typical one says nothing about the albedo …
@@ -123,6 +124,9 @@ fn add_ambient(
             mean.add(radiance(texel.index as usize), weight(texel.index as usize));
         }
         Vec3::splat(2.0 * mean.value().element_sum() / 3.0)
+    } else if (scene.brdf).is_some_and(|brdf| brdf.model == SpecularModel::Metal) {
+        // It has no diffuse part that could show any.
+        Vec3::ZERO
     } else {
         let both = |t: usize| [radiance(t), irradiance[t]];
         let lit: Vec<Option<Lit>> = places

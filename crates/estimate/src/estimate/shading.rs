@@ -10,13 +10,15 @@
 //! what Retinex takes for shading (Land and McCann, "Lightness and Retinex theory", 1971), with shape and shadows known. λ is
 //! what explains points that had no say best. The light is broad, white, and known up to its strength.
 
+use std::collections::BTreeMap;
+
 use faer::Mat;
 use rayon::prelude::*;
 
 use super::cells::{Cell, Pyramid};
 use super::fast::Solver;
 use super::gloss::beside;
-use super::observations::Point;
+use super::observations::{Observations, Point};
 use super::suspects::SURE;
 use super::weights::{magnitude, median};
 use rekindle_base::math::nnls::{self, NnlsParams};
@@ -26,6 +28,10 @@ use rekindle_scene::hemisphere::HemisphereGrid;
 /// Points that are looked at, and frequency of the grid of the cells: 162 of them, 16° apart.
 const POINTS: usize = 3000;
 const FREQUENCY: u32 = 4;
+
+/// How often cells are split that are not nearly dark, and which part of the brightest is.
+const SPLITS: usize = 2;
+const DIM: f64 = 0.02;
 
 /// How much cells are held to their neighbours, as parts of the mean diagonal of the equations.
 const SMOOTHNESS: [f64; 5] = [1e-3, 1e-2, 0.1, 1.0, 10.0];
@@ -55,7 +61,6 @@ struct Shading {
     pairs: Vec<[usize; 2]>,
     /// Cells that lie beside each other.
     joined: Vec<[usize; 2]>,
-    cells: usize,
 }
 
 /// Radiance per node of a grid all around, gray and in the capture's units; `None` where it makes the albedo no evener than light
@@ -63,34 +68,36 @@ struct Shading {
 pub fn light_by_shading(solver: &Solver<'_>) -> Option<(HemisphereGrid, Vec<[f32; 3]>)> {
     let grid = solver.grid.to_whole();
     let pyramid = Pyramid::new(&grid, FREQUENCY);
-    let cells = pyramid.roots();
-    let shading = Shading::new(solver, &pyramid, &cells);
-    let halves = [0, 1].map(|half| shading.some(|pair| pair % 2 == half));
-    let (smoothness, judged) = SMOOTHNESS
-        .into_par_iter()
-        .map(|smoothness| {
-            let judged = [0, 1].map(|half| {
-                let x = shading.light(&halves[half], smoothness);
-                shading.contrasts(&halves[1 - half], &x)
-            });
-            (smoothness, judged.concat())
-        })
-        .min_by(|a, b| a.1.iter().sum::<f64>().total_cmp(&b.1.iter().sum()))?;
-    let even = shading.normalised(vec![1.0; cells.len()]);
-    let even = [1, 0].map(|half| shading.contrasts(&halves[half], &even));
-    if signed_ranks(&even.concat(), &judged) <= SURE {
-        return None;
+    let observations = solver.colours(POINTS);
+    let mut cells = pyramid.roots();
+    let mut shading = Shading::new(solver, &observations, &pyramid, &cells);
+    let smoothness = shading.smoothness()?;
+    let mut x = shading.light(&shading.pairs, smoothness);
+    for _ in 0..SPLITS {
+        cells = lit_children(&pyramid, &cells, &x);
+        shading = Shading::new(solver, &observations, &pyramid, &cells);
+        x = shading.light(&shading.pairs, smoothness);
     }
-    let x = shading.light(&shading.pairs, smoothness);
     let unit = f64::from(solver.coarse.scale) * shading.usual / MEAN_ALBEDO;
     let radiance: Vec<[f32; 3]> = x.iter().map(|v| [(unit * v) as f32; 3]).collect();
     let nodes = pyramid.to_nodes(&cells, &radiance);
     Some((grid, nodes))
 }
 
+/// The finer cells of those that are not nearly dark.
+fn lit_children(pyramid: &Pyramid, cells: &[Cell], x: &[f64]) -> Vec<Cell> {
+    let brightest = x.iter().copied().fold(0.0, f64::max);
+    let lit = cells.iter().zip(x).filter(|(_, v)| **v > DIM * brightest);
+    lit.flat_map(|(&cell, _)| pyramid.children(cell)).collect()
+}
+
 impl Shading {
-    fn new(solver: &Solver<'_>, pyramid: &Pyramid, cells: &[Cell]) -> Self {
-        let observations = solver.colours(POINTS);
+    fn new(
+        solver: &Solver<'_>,
+        observations: &Observations,
+        pyramid: &Pyramid,
+        cells: &[Cell],
+    ) -> Self {
         let gray = |point: &Point| {
             let rows = observations.rows[point.rows.clone()].iter();
             let mut values: Vec<f32> = rows.map(|row| magnitude(row.radiance)).collect();
@@ -124,8 +131,10 @@ impl Shading {
             let others = near.iter().map(|&q| q as usize);
             others.filter(move |&q| p < q).map(move |q| [p, q])
         });
-        let joined = cells.iter().enumerate().flat_map(|(i, &cell)| {
-            let others = pyramid.neighbours(cell).map(|other| other.node as usize);
+        let places: BTreeMap<Cell, usize> = cells.iter().copied().zip(0..).collect();
+        let joined = places.iter().flat_map(|(&cell, &i)| {
+            let others = pyramid.neighbours(cell);
+            let others = others.filter_map(|other| places.get(&other).copied());
             others.filter(move |&j| i < j).map(move |j| [i, j])
         });
         let usual = mean(&radiance).max(f64::MIN_POSITIVE);
@@ -138,8 +147,25 @@ impl Shading {
             irradiance,
             pairs: pairs.collect(),
             joined: joined.collect(),
-            cells: cells.len(),
         }
+    }
+
+    /// The smoothness by which points say most of others; `None` where that is no more than light from everywhere says.
+    fn smoothness(&self) -> Option<f64> {
+        let halves = [0, 1].map(|half| self.some(|pair| pair % 2 == half));
+        let judge = |smoothness: f64| {
+            let judged = [0, 1].map(|half| {
+                let x = self.light(&halves[half], smoothness);
+                self.contrasts(&halves[1 - half], &x)
+            });
+            (smoothness, judged.concat())
+        };
+        let sum = |of: &(f64, Vec<f64>)| of.1.iter().sum::<f64>();
+        let judged = SMOOTHNESS.into_par_iter().map(judge);
+        let (smoothness, least) = judged.min_by(|a, b| sum(a).total_cmp(&sum(b)))?;
+        let even = self.normalised(vec![1.0; self.mean.len()]);
+        let even = [1, 0].map(|half| self.contrasts(&halves[half], &even));
+        (signed_ranks(&even.concat(), &least) > SURE).then_some(smoothness)
     }
 
     /// Pairs whose first point is among some.
@@ -180,7 +206,7 @@ impl Shading {
 
     /// The light of least differences.
     fn light(&self, pairs: &[[usize; 2]], smoothness: f64) -> Vec<f64> {
-        let mut x = self.normalised(vec![1.0; self.cells]);
+        let mut x = self.normalised(vec![1.0; self.mean.len()]);
         for _ in 0..ROUNDS {
             let next = self.improved(pairs, smoothness, &x);
             let change: f64 = next.iter().zip(&x).map(|(a, b)| (a - b).abs()).sum();
@@ -195,7 +221,7 @@ impl Shading {
 
     /// A Gauss-Newton step from a light, with the weights that it gives.
     fn improved(&self, pairs: &[[usize; 2]], smoothness: f64, x: &[f64]) -> Vec<f64> {
-        let n = self.cells;
+        let n = self.mean.len();
         let lit = self.lit(x);
         let differences = self.differences(pairs, &lit);
         let mut sizes: Vec<f32> = differences.iter().map(|d| d.abs() as f32).collect();
