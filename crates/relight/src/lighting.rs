@@ -79,6 +79,18 @@ pub enum ProbeUnits {
 }
 
 impl Lighting {
+    /// The same place without any light.
+    #[must_use]
+    pub fn dark(&self) -> Self {
+        Self {
+            lamps: Vec::new(),
+            remainder: Vec::new(),
+            environment: Vec::new(),
+            ambient: Vec3::ZERO,
+            ..*self
+        }
+    }
+
     /// Radiance over all directions at the centre, RGB in the units of the lighting × steradians; muted lamps send none.
     pub fn flux(&self) -> Vec3 {
         let lamps = self.lamps.iter().chain(&self.environment);

@@ -279,7 +279,14 @@ fn textures(
         };
         let shader = Shader::new(occluder, brdf, light).stopped_by(stop);
         let seen = TriangleShares::new(mesh, atlas, &shader);
-        let mut texture = reconstruct(&scene, views, surfaces, atlas, &shader, &seen, shortcuts);
+        let mut texture = if brdf.is_some() {
+            reconstruct(&scene, views, surfaces, atlas, &shader, &seen, shortcuts)
+        } else {
+            // Without gloss no light is to be taken out.
+            let dark = Shader::new(occluder, None, &light.dark()).stopped_by(stop);
+            let seen = TriangleShares::new(mesh, atlas, &dark);
+            reconstruct(&scene, views, surfaces, atlas, &dark, &seen, shortcuts)
+        };
         clock.lap("texture");
         report(&mut observer, ALBEDO)?;
         let albedo = separate(&scene, atlas, &shader, &seen, &mut texture);

@@ -74,8 +74,8 @@ pub const NO_SPECULAR: &str = "No specular part was found: no lights explain how
     taken as diffuse.";
 
 /// What is said where the light is what the shading says.
-pub const BY_SHADING: &str = "The lighting was taken from the shading alone, as if the texture were even: it is broad, white, and its \
-    strength is open. Relit pictures are rough. A glossy ball beside the object, or a lamp, would tell more.";
+pub const BY_SHADING: &str = "The lighting was taken from the shading alone, as if the texture were even: it is white on the \
+    whole, and its strength is open. Lights may be wider and weaker or stronger than they were.";
 
 /// Why diffuse and specular parts can't be told apart in this capture, if they can't.
 pub fn unseparable(capture: &Capture, observations: &Observations) -> Option<String> {

@@ -8,7 +8,8 @@
 //!
 //! with E of mean 1. Edges of the texture say little there, nor does what is nearly black: d and e are a part of the means. It is
 //! what Retinex takes for shading (Land and McCann, "Lightness and Retinex theory", 1971), with shape and shadows known. λ is
-//! what explains points that had no say best. The light is broad, white, and known up to its strength.
+//! what explains points that had no say best. The channels are then sought one by one, each with a mean of 1: the
+//! light is white on the whole, and known up to its strength.
 
 use std::collections::BTreeMap;
 
@@ -29,16 +30,21 @@ use rekindle_scene::hemisphere::HemisphereGrid;
 const POINTS: usize = 3000;
 const FREQUENCY: u32 = 4;
 
-/// How often cells are split that are not nearly dark, and which part of the brightest is.
+/// How often cells that are not nearly dark are split, if that says more of other points, and which part of the brightest is dark.
 const SPLITS: usize = 2;
 const DIM: f64 = 0.02;
+/// More cells than this are as fine as shading tells.
+const MOST_CELLS: usize = 300;
+
+/// Part of the mean irradiance that the brightest cells give, which are kept.
+const MOST: f64 = 0.9;
 
 /// How much cells are held to their neighbours, as parts of the mean diagonal of the equations.
 const SMOOTHNESS: [f64; 5] = [1e-3, 1e-2, 0.1, 1.0, 10.0];
 
 /// Rounds in which weights and light take turns, and the change of the light that ends them, relative.
-const ROUNDS: usize = 20;
-const SETTLED: f64 = 1e-3;
+const ROUNDS: usize = 12;
+const SETTLED: f64 = 1e-2;
 /// Part of the means of radiance and irradiance that counts as nearly black.
 const DARK: f64 = 0.1;
 /// Difference that noise makes at least.
@@ -51,7 +57,7 @@ const MEAN_ALBEDO: f64 = 0.5;
 struct Shading {
     /// Mean diffuse radiance, gray, in units of the observations' scale.
     usual: f64,
-    /// That of each point over the mean.
+    /// That of each point over the mean, or that of one channel.
     radiance: Vec<f64>,
     /// Mean over the points of the irradiance by unit radiance of each cell.
     mean: Vec<f64>,
@@ -63,7 +69,7 @@ struct Shading {
     joined: Vec<[usize; 2]>,
 }
 
-/// Radiance per node of a grid all around, gray and in the capture's units; `None` where it makes the albedo no evener than light
+/// Radiance per node of a grid all around, RGB and in the capture's units; `None` where it makes the albedo no evener than light
 /// from everywhere would, beyond chance.
 pub fn light_by_shading(solver: &Solver<'_>) -> Option<(HemisphereGrid, Vec<[f32; 3]>)> {
     let grid = solver.grid.to_whole();
@@ -71,15 +77,32 @@ pub fn light_by_shading(solver: &Solver<'_>) -> Option<(HemisphereGrid, Vec<[f32
     let observations = solver.colours(POINTS);
     let mut cells = pyramid.roots();
     let mut shading = Shading::new(solver, &observations, &pyramid, &cells);
-    let smoothness = shading.smoothness()?;
-    let mut x = shading.light(&shading.pairs, smoothness);
+    let (smoothness, mut judged) = shading.smoothness()?;
     for _ in 0..SPLITS {
-        cells = lit_children(&pyramid, &cells, &x);
-        shading = Shading::new(solver, &observations, &pyramid, &cells);
-        x = shading.light(&shading.pairs, smoothness);
+        let x = shading.light(&shading.pairs, smoothness);
+        let finer = lit_children(&pyramid, &cells, &x);
+        if finer.len() > MOST_CELLS {
+            break;
+        }
+        let on_finer = Shading::new(solver, &observations, &pyramid, &finer);
+        let again = on_finer.judged(smoothness);
+        if signed_ranks(&judged, &again) <= SURE {
+            break;
+        }
+        (cells, shading, judged) = (finer, on_finer, again);
     }
+    let x = shading.light(&shading.pairs, smoothness);
+    let bright = shading.brightest(&x);
     let unit = f64::from(solver.coarse.scale) * shading.usual / MEAN_ALBEDO;
-    let radiance: Vec<[f32; 3]> = x.iter().map(|v| [(unit * v) as f32; 3]).collect();
+    let channels = [0, 1, 2].map(|channel| {
+        shading.radiance = over_mean(&diffuse(&observations, |v| v[channel])).1;
+        shading.light(&shading.pairs, smoothness)
+    });
+    let of_cell = |k: usize| {
+        let unit = if bright[k] { unit } else { 0.0 };
+        channels.each_ref().map(|x| (unit * x[k]) as f32)
+    };
+    let radiance: Vec<[f32; 3]> = (0..cells.len()).map(of_cell).collect();
     let nodes = pyramid.to_nodes(&cells, &radiance);
     Some((grid, nodes))
 }
@@ -98,12 +121,7 @@ impl Shading {
         pyramid: &Pyramid,
         cells: &[Cell],
     ) -> Self {
-        let gray = |point: &Point| {
-            let rows = observations.rows[point.rows.clone()].iter();
-            let mut values: Vec<f32> = rows.map(|row| magnitude(row.radiance)).collect();
-            f64::from(median(&mut values))
-        };
-        let radiance: Vec<f64> = observations.points.iter().map(gray).collect();
+        let (usual, radiance) = over_mean(&diffuse(observations, magnitude));
         let geometry = pyramid.geometry(cells);
         let irradiance = |point: &Point| -> Vec<f64> {
             let origin = solver.occluder.offset_origin(point.position, point.normal);
@@ -137,12 +155,11 @@ impl Shading {
             let others = others.filter_map(|other| places.get(&other).copied());
             others.filter(move |&j| i < j).map(move |j| [i, j])
         });
-        let usual = mean(&radiance).max(f64::MIN_POSITIVE);
         let irradiance: Vec<Vec<f64>> = observations.points.par_iter().map(irradiance).collect();
         let of_cell = |k: usize| mean(&irradiance.iter().map(|row| row[k]).collect::<Vec<_>>());
         Self {
             usual,
-            radiance: radiance.iter().map(|d| d / usual).collect(),
+            radiance,
             mean: (0..cells.len()).map(of_cell).collect(),
             irradiance,
             pairs: pairs.collect(),
@@ -150,31 +167,44 @@ impl Shading {
         }
     }
 
-    /// The smoothness by which points say most of others; `None` where that is no more than light from everywhere says.
-    fn smoothness(&self) -> Option<f64> {
-        let halves = [0, 1].map(|half| self.some(|pair| pair % 2 == half));
-        let judge = |smoothness: f64| {
-            let judged = [0, 1].map(|half| {
-                let x = self.light(&halves[half], smoothness);
-                self.contrasts(&halves[1 - half], &x)
-            });
-            (smoothness, judged.concat())
-        };
+    /// The smoothness by which points say most of others, and how far the albedos of pairs then differ by what others say; `None`
+    /// where that is no less than under light from everywhere.
+    fn smoothness(&self) -> Option<(f64, Vec<f64>)> {
         let sum = |of: &(f64, Vec<f64>)| of.1.iter().sum::<f64>();
-        let judged = SMOOTHNESS.into_par_iter().map(judge);
-        let (smoothness, least) = judged.min_by(|a, b| sum(a).total_cmp(&sum(b)))?;
+        let judged = SMOOTHNESS.into_par_iter().map(|s| (s, self.judged(s)));
+        let best = judged.min_by(|a, b| sum(a).total_cmp(&sum(b)))?;
         let even = self.normalised(vec![1.0; self.mean.len()]);
-        let even = [1, 0].map(|half| self.contrasts(&halves[half], &even));
-        (signed_ranks(&even.concat(), &least) > SURE).then_some(smoothness)
+        let even = [1, 0].map(|half| self.contrasts(&self.half(half), &even));
+        (signed_ranks(&even.concat(), &best.1) > SURE).then_some(best)
     }
 
-    /// Pairs whose first point is among some.
-    fn some(&self, keep: impl Fn(usize) -> bool) -> Vec<[usize; 2]> {
-        self.pairs
-            .iter()
-            .copied()
-            .filter(|pair| keep(pair[0]))
-            .collect()
+    /// How far the albedos of pairs differ under the light that the others say.
+    fn judged(&self, smoothness: f64) -> Vec<f64> {
+        let judged = [0, 1].map(|half| {
+            let x = self.light(&self.half(half), smoothness);
+            self.contrasts(&self.half(1 - half), &x)
+        });
+        judged.concat()
+    }
+
+    /// The cells that give most of the mean irradiance. The others are left to the ambient light, which is read off the texture.
+    fn brightest(&self, x: &[f64]) -> Vec<bool> {
+        let share = |k: usize| x[k] * self.mean[k];
+        let mut order: Vec<usize> = (0..x.len()).collect();
+        order.sort_by(|&a, &b| share(b).total_cmp(&share(a)));
+        let mut is_bright = vec![false; x.len()];
+        let mut left = MOST;
+        for k in order {
+            is_bright[k] = left > 0.0;
+            left -= share(k);
+        }
+        is_bright
+    }
+
+    /// Every second point's pairs.
+    fn half(&self, half: usize) -> Vec<[usize; 2]> {
+        let pairs = self.pairs.iter().copied();
+        pairs.filter(|pair| pair[0] % 2 == half).collect()
     }
 
     /// Irradiance of each point.
@@ -263,6 +293,22 @@ impl Shading {
         nnls::solve(gram.as_ref(), &right, &mut next, &NnlsParams::default());
         self.normalised(next)
     }
+}
+
+/// Diffuse radiance of each point: the median over its views, of which few show a highlight there.
+fn diffuse(observations: &Observations, channel: impl Fn([f32; 3]) -> f32) -> Vec<f64> {
+    let of = |point: &Point| {
+        let rows = observations.rows[point.rows.clone()].iter();
+        let mut values: Vec<f32> = rows.map(|row| channel(row.radiance)).collect();
+        f64::from(median(&mut values))
+    };
+    observations.points.iter().map(of).collect()
+}
+
+/// The mean of values, and each over it.
+fn over_mean(values: &[f64]) -> (f64, Vec<f64>) {
+    let mean = mean(values).max(f64::MIN_POSITIVE);
+    (mean, values.iter().map(|v| v / mean).collect())
 }
 
 fn mean(values: &[f64]) -> f64 {
