@@ -229,7 +229,9 @@ impl Shading {
     fn normalised(&self, mut x: Vec<f64>) -> Vec<f64> {
         let mean = mean(&self.lit(&x));
         if mean > 0.0 {
-            x.iter_mut().for_each(|v| *v /= mean);
+            for v in &mut x {
+                *v /= mean;
+            }
         }
         x
     }
