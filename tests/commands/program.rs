@@ -301,6 +301,39 @@ fn the_number_of_threads_does_not_change_a_bit() {
 }
 
 #[test]
+fn a_stated_roughness_is_taken_and_nonsense_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let solution = folder.path().join("solution");
+    let solution = solution.to_str().unwrap();
+    let source = capture("spot_uniform");
+    let source = source.to_str().unwrap();
+    let solve = |more: &[&str]| rekindle(&[&["solve", source, "-o", solution][..], more].concat());
+    for (more, said) in [
+        (&["--roughness", "2"][..], "0.07 to 0.9"),
+        (&["--roughness", "rough"], "0.07 to 0.9"),
+        (
+            &["--roughness", "0.3", "--method", "amuh"],
+            "reference methods",
+        ),
+    ] {
+        let run = solve(more);
+        assert_eq!(run.status.code(), Some(2), "{more:?}");
+        let message = String::from_utf8_lossy(&run.stderr);
+        assert!(message.contains(said), "{message}");
+    }
+    assert!(
+        solve(&["--frequency", "20", "--roughness", "0.5"])
+            .status
+            .success()
+    );
+    let found = read_json(&Path::new(solution).join("solution.json"));
+    // α is the square of the roughness, and √2 σ.
+    let sigma = found["sigma"].as_f64().unwrap();
+    assert!((sigma - 0.25 / 2.0_f64.sqrt()).abs() < 1e-5, "{sigma}");
+    assert!(found["sigma_interval95"].is_null(), "nothing was estimated");
+}
+
+#[test]
 fn a_missing_capture_is_one_message_and_status_2() {
     let folder = tempfile::tempdir().unwrap();
     let solution = folder.path().join("solution");

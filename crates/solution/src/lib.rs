@@ -929,6 +929,23 @@ mod tests {
     }
 
     #[test]
+    fn light_below_the_horizon_comes_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("solution");
+        let mut saved = example();
+        saved.grid = saved.grid.to_whole();
+        let lowest = saved.grid.directions.len() - 1;
+        assert!(saved.grid.directions[lowest].y < 0.0);
+        saved.radiance.resize(lowest + 1, [0.0; 3]);
+        saved.radiance[lowest] = [1.0, 2.0, 3.0];
+        saved.save(&path).unwrap();
+        let read = Solution::load(&path).unwrap();
+        assert!(read.grid.whole);
+        assert_eq!(read.radiance, saved.radiance);
+        assert_eq!(read.lighting(), saved.lighting());
+    }
+
+    #[test]
     fn unreadable_solutions_say_why() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("solution");
