@@ -55,6 +55,7 @@ use cells::Pyramid;
 use course::{Ending, Outcome, Rules};
 use fast::{Fit, Solver, Watch};
 use observations::Seen;
+use observer::go_on;
 pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 pub use observer::{Watcher, watched};
 pub use relief::RefinedSurface;
@@ -339,6 +340,7 @@ fn run(
     match course::run(&solver, rules, &mut watch)? {
         Outcome::Nothing(reason) => {
             result.diagnostics.warnings.push(reason);
+            go_on(watch.observer.progress("looking at the shading", 0.9))?;
             if let Some((grid, nodes)) = light_by_shading(&solver) {
                 let said = diagnose::BY_SHADING.to_owned();
                 result.diagnostics.warnings.push(said);

@@ -12,6 +12,7 @@
 //! light is white on the whole, and known up to its strength.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use faer::Mat;
 use rayon::prelude::*;
@@ -54,7 +55,8 @@ const LEAST_DIFFERENCE: f64 = 0.01;
 const MEAN_ALBEDO: f64 = 0.5;
 
 /// What shading is looked at on.
-struct Shading {
+struct Shading<'a> {
+    stop: &'a AtomicBool,
     /// Mean diffuse radiance, gray, in units of the observations' scale.
     usual: f64,
     /// That of each point over the mean, or that of one channel.
@@ -114,9 +116,9 @@ fn lit_children(pyramid: &Pyramid, cells: &[Cell], x: &[f64]) -> Vec<Cell> {
     lit.flat_map(|(&cell, _)| pyramid.children(cell)).collect()
 }
 
-impl Shading {
+impl<'a> Shading<'a> {
     fn new(
-        solver: &Solver<'_>,
+        solver: &'a Solver<'_>,
         observations: &Observations,
         pyramid: &Pyramid,
         cells: &[Cell],
@@ -124,6 +126,9 @@ impl Shading {
         let (usual, radiance) = over_mean(&diffuse(observations, magnitude));
         let geometry = pyramid.geometry(cells);
         let irradiance = |point: &Point| -> Vec<f64> {
+            if solver.stop.load(Ordering::Relaxed) {
+                return vec![0.0; cells.len()];
+            }
             let origin = solver.occluder.offset_origin(point.position, point.normal);
             let of = |k: usize| {
                 let (to, falloff) = match solver.near {
@@ -158,6 +163,7 @@ impl Shading {
         let irradiance: Vec<Vec<f64>> = observations.points.par_iter().map(irradiance).collect();
         let of_cell = |k: usize| mean(&irradiance.iter().map(|row| row[k]).collect::<Vec<_>>());
         Self {
+            stop: solver.stop,
             usual,
             radiance,
             mean: (0..cells.len()).map(of_cell).collect(),
@@ -244,7 +250,7 @@ impl Shading {
             let change: f64 = next.iter().zip(&x).map(|(a, b)| (a - b).abs()).sum();
             let all: f64 = x.iter().sum();
             x = next;
-            if change < SETTLED * all {
+            if change < SETTLED * all || self.stop.load(Ordering::Relaxed) {
                 break;
             }
         }
@@ -291,8 +297,12 @@ impl Shading {
         let right: Vec<f64> = (0..n)
             .map(|k| right[(k, 0)] + held * self.mean[k])
             .collect();
+        let params = NnlsParams {
+            stop: Some(self.stop),
+            ..NnlsParams::default()
+        };
         let mut next = x.to_vec();
-        nnls::solve(gram.as_ref(), &right, &mut next, &NnlsParams::default());
+        nnls::solve(gram.as_ref(), &right, &mut next, &params);
         self.normalised(next)
     }
 }
