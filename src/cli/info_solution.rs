@@ -35,8 +35,15 @@ fn text(solution: &Solution) -> String {
         let model = format!("{:?}", brdf.model).to_lowercase();
         line("specular", format!("{model}: {}", solution.chosen_because));
     } else {
-        let none = "no specular part was found: it is unknown, and light is what the shading tells";
-        line("roughness", none.to_owned());
+        let lights = if solution.lamps.is_empty() {
+            "unknown"
+        } else {
+            "what the shading tells"
+        };
+        line(
+            "roughness",
+            format!("unknown, as no specular part was found; lights are {lights}"),
+        );
     }
     for lamp in &solution.lamps {
         let (d, f) = (lamp.direction, lamp.flux);

@@ -7,7 +7,7 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
-use rekindle_base::math::ranks::signed_ranks;
+use rekindle_base::math::ranks::{SURE, signed_ranks};
 
 /// Edges to walk at most from a place to a darker one.
 const STEPS: usize = 12;
@@ -27,8 +27,6 @@ const LEAST: f32 = 0.01;
 const MOST: f32 = 10.0;
 const STEP: f32 = 1.25;
 const FINER: i32 = 8;
-/// Standard deviations of chance by which contrasts have to become less.
-const SURE: f64 = 3.0;
 
 /// Mean diffuse radiance and irradiance around each place of the mesh; `None` where no view saw it.
 pub(super) struct Lit {
@@ -149,13 +147,18 @@ mod tests {
 
     /// A grid of places with checkered albedo, half of it in shadow with a soft edge, under this ambient irradiance.
     fn scene(ambient: Vec3) -> (Vec<Option<Lit>>, Vec<Vec<u32>>) {
+        turned(ambient, 0.0)
+    }
+
+    /// The same where irradiance falls no further than to a part of the brightest.
+    fn turned(ambient: Vec3, darkest: f32) -> (Vec<Option<Lit>>, Vec<Vec<u32>>) {
         const SIDE: usize = 40;
         let mut places = Vec::new();
         let mut around = Vec::new();
         for y in 0..SIDE {
             for x in 0..SIDE {
                 let albedo = if (x / 5 + y / 5) % 2 == 0 { 0.6 } else { 0.2 };
-                let lit = ((x as f32 - 17.0) / 6.0).clamp(0.0, 1.0);
+                let lit = ((x as f32 - 17.0) / 6.0).clamp(darkest, 1.0);
                 let irradiance = Vec3::new(3.0, 2.0, 1.0) * lit;
                 places.push(Some(Lit {
                     radiance: albedo * (irradiance + ambient),
@@ -178,6 +181,14 @@ mod tests {
     fn ambient_light_is_read_off_the_shadows() {
         let ambient = Vec3::new(0.2, 0.3, 0.1);
         let (places, around) = scene(ambient);
+        let found = ambient_irradiance(&places, &|p| around[p].as_slice(), 2.0);
+        assert!((found - ambient).abs().max_element() < 0.02, "{found}");
+    }
+
+    #[test]
+    fn ambient_light_is_read_off_sides_that_are_turned_away() {
+        let ambient = Vec3::new(0.2, 0.3, 0.1);
+        let (places, around) = turned(ambient, 0.5);
         let found = ambient_irradiance(&places, &|p| around[p].as_slice(), 2.0);
         assert!((found - ambient).abs().max_element() < 0.02, "{found}");
     }

@@ -1,5 +1,8 @@
 //! Comparing two explanations of the same data without a model of the noise.
 
+/// Standard deviations of chance beyond which one explanation is better: one case in 740 is that by chance.
+pub const SURE: f64 = 3.0;
+
 /// Groups of values whose differences are ranked.
 const GROUPS: usize = 32;
 

@@ -20,7 +20,7 @@ use super::fast::Solver;
 use super::observations::{Observations, Point, Sampling, Seen};
 use super::state::State;
 use super::weights::{deviation, eliminate, log_diffuse, magnitude, median};
-use rekindle_base::math::ranks::signed_ranks;
+use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::reflectance::{Brdf, Gloss};
 use rekindle_scene::surface::{GlossParts, PartPoint, likeness};
 
@@ -52,9 +52,7 @@ const SWEEPS: usize = 60;
 const ROUNDS: usize = 4;
 /// Gauss-Newton steps of the glosses.
 const STEPS: usize = 8;
-/// Standard deviations of chance by which a further gloss has to win …
-const SURE: f64 = 3.0;
-/// … and the part of what fewer leave that it may. Interreflection, which no gloss explains, was lowered to 94 and 98 %, at
+/// The part of what fewer glosses leave that a further one may, beside that it has to win beyond chance. Interreflection, which no gloss explains, was lowered to 94 and 98 %, at
 /// the cost of the fit as a whole; patches of two roughnesses leave 68 to 75 %.
 pub const WORTH: f64 = 0.9;
 /// Standard deviations from which on a residual counts linearly.

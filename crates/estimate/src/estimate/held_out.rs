@@ -10,9 +10,8 @@ use rayon::prelude::*;
 use super::fast::{CoarseFit, Solver};
 use super::observations::Observations;
 use super::state::{ROUGH, State};
-use super::suspects::SURE;
 use super::weights::{deviation, magnitude};
-use rekindle_base::math::ranks::signed_ranks;
+use rekindle_base::math::ranks::{SURE, signed_ranks};
 
 /// Views are left out in so many turns at most.
 const MOST_TURNS: usize = 6;

@@ -20,11 +20,11 @@ use rayon::prelude::*;
 use super::cells::{Cell, Pyramid};
 use super::fast::Solver;
 use super::gloss::beside;
+use super::lobes::light_from;
 use super::observations::{Observations, Point};
-use super::suspects::SURE;
 use super::weights::{magnitude, median};
 use rekindle_base::math::nnls::{self, NnlsParams};
-use rekindle_base::math::ranks::signed_ranks;
+use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
 
 /// Points that are looked at, and frequency of the grid of the cells: 162 of them, 16° apart.
@@ -66,7 +66,7 @@ struct Shading<'a> {
     /// Irradiance of each point by unit radiance of each cell, point by point.
     irradiance: Vec<Vec<f64>>,
     /// Neighbours.
-    pairs: Vec<[usize; 2]>,
+    pairs: &'a [[usize; 2]],
     /// Cells that lie beside each other.
     joined: Vec<[usize; 2]>,
 }
@@ -78,27 +78,28 @@ pub fn light_by_shading(solver: &Solver<'_>) -> Option<(HemisphereGrid, Vec<[f32
     let pyramid = Pyramid::new(&grid, FREQUENCY);
     let observations = solver.colours(POINTS);
     let mut cells = pyramid.roots();
-    let mut shading = Shading::new(solver, &observations, &pyramid, &cells);
+    let pairs = pairs(&observations.points);
+    let mut shading = Shading::new(solver, &observations, &pyramid, &cells, &pairs);
     let (smoothness, mut judged) = shading.smoothness()?;
     for _ in 0..SPLITS {
-        let x = shading.light(&shading.pairs, smoothness);
+        let x = shading.light(shading.pairs, smoothness);
         let finer = lit_children(&pyramid, &cells, &x);
         if finer.len() > MOST_CELLS {
             break;
         }
-        let on_finer = Shading::new(solver, &observations, &pyramid, &finer);
+        let on_finer = Shading::new(solver, &observations, &pyramid, &finer, &pairs);
         let again = on_finer.judged(smoothness);
         if signed_ranks(&judged, &again) <= SURE {
             break;
         }
         (cells, shading, judged) = (finer, on_finer, again);
     }
-    let x = shading.light(&shading.pairs, smoothness);
+    let x = shading.light(shading.pairs, smoothness);
     let bright = shading.brightest(&x);
     let unit = f64::from(solver.coarse.scale) * shading.usual / MEAN_ALBEDO;
     let channels = [0, 1, 2].map(|channel| {
         shading.radiance = over_mean(&diffuse(&observations, |v| v[channel])).1;
-        shading.light(&shading.pairs, smoothness)
+        shading.light(shading.pairs, smoothness)
     });
     let of_cell = |k: usize| {
         let unit = if bright[k] { unit } else { 0.0 };
@@ -107,6 +108,16 @@ pub fn light_by_shading(solver: &Solver<'_>) -> Option<(HemisphereGrid, Vec<[f32
     let radiance: Vec<[f32; 3]> = (0..cells.len()).map(of_cell).collect();
     let nodes = pyramid.to_nodes(&cells, &radiance);
     Some((grid, nodes))
+}
+
+/// Neighbouring points, the first of each pair before the second.
+fn pairs(points: &[Point]) -> Vec<[usize; 2]> {
+    let beside = beside(points);
+    let pairs = beside.iter().enumerate().flat_map(|(p, near)| {
+        let others = near.iter().map(|&q| q as usize);
+        others.filter(move |&q| p < q).map(move |q| [p, q])
+    });
+    pairs.collect()
 }
 
 /// The finer cells of those that are not nearly dark.
@@ -122,6 +133,7 @@ impl<'a> Shading<'a> {
         observations: &Observations,
         pyramid: &Pyramid,
         cells: &[Cell],
+        pairs: &'a [[usize; 2]],
     ) -> Self {
         let (usual, radiance) = over_mean(&diffuse(observations, magnitude));
         let geometry = pyramid.geometry(cells);
@@ -131,16 +143,7 @@ impl<'a> Shading<'a> {
             }
             let origin = solver.occluder.offset_origin(point.position, point.normal);
             let of = |k: usize| {
-                let (to, falloff) = match solver.near {
-                    None => (geometry.directions[k], 1.0),
-                    Some((centre, radius)) => {
-                        let to = centre + radius * geometry.directions[k] - point.position;
-                        (
-                            to.normalize_or_zero(),
-                            radius * radius / to.length_squared().max(1e-12),
-                        )
-                    }
-                };
+                let (to, falloff) = light_from(solver.near, geometry.directions[k], point.position);
                 let cosine = point.normal.dot(to);
                 if cosine <= 0.0 || solver.occluder.occluded(origin, to, f32::INFINITY) {
                     return 0.0;
@@ -149,11 +152,6 @@ impl<'a> Shading<'a> {
             };
             (0..cells.len()).map(of).collect()
         };
-        let beside = beside(&observations.points);
-        let pairs = beside.iter().enumerate().flat_map(|(p, near)| {
-            let others = near.iter().map(|&q| q as usize);
-            others.filter(move |&q| p < q).map(move |q| [p, q])
-        });
         let places: BTreeMap<Cell, usize> = cells.iter().copied().zip(0..).collect();
         let joined = places.iter().flat_map(|(&cell, &i)| {
             let others = pyramid.neighbours(cell);
@@ -168,7 +166,7 @@ impl<'a> Shading<'a> {
             radiance,
             mean: (0..cells.len()).map(of_cell).collect(),
             irradiance,
-            pairs: pairs.collect(),
+            pairs,
             joined: joined.collect(),
         }
     }

@@ -16,7 +16,7 @@ use super::observations::Observations;
 use super::observer::{Stopped, go_on};
 use super::state::{ROUGH, State};
 use super::weights::magnitude;
-use rekindle_base::math::ranks::signed_ranks;
+use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 
 /// An assumption that the photographs contradict.
@@ -45,8 +45,6 @@ pub struct Suspicion {
     pub sigma_ratio: f32,
 }
 
-/// Standard deviations of chance by which a change has to win: one in 740 does so by chance, and there are at most 28.
-pub const SURE: f64 = 3.0;
 /// How much rougher and smoother a lobe is made to see whether its roughness is determined, and that of a changed fit …
 const ROUGHER: f32 = 1.5;
 /// … starting at this σ and within this range, radians.
