@@ -43,5 +43,9 @@ pub fn is_lit_from_below(
     everywhere: (&Solver<'_>, &CoarseFit<'_>),
     above: (&Solver<'_>, &CoarseFit<'_>),
 ) -> bool {
-    explains_better(everywhere.1, above.1) && !predicts_worse(everywhere, above)
+    explains_better(everywhere.1, above.1)
+        && !predicts_worse(
+            (everywhere.0, &everywhere.1.state),
+            (above.0, &above.1.state),
+        )
 }

@@ -5,7 +5,7 @@ use super::SpecularChoice;
 use super::below::{AllAround, is_lit_from_below};
 use super::fast::{CoarseFit, Fit, Solver, Watch};
 use super::gloss;
-use super::held_out::shows_gloss;
+use super::held_out::{predicts_worse, shows_gloss};
 use super::observer::{Interim, Stopped};
 use super::relief::{self, Bench, RefinedSurface};
 use super::state::State;
@@ -134,7 +134,8 @@ fn with_parts<R>(
     };
     let parted = solver.parted(&parts);
     let (on_parts, why) = choose(&parted, choice, &SpecularModel::ALL, watch)?;
-    if explains_better(&on_parts, &coarse) {
+    let predicts_worse = || predicts_worse((&parted, &on_parts.state), (solver, &coarse.state));
+    if explains_better(&on_parts, &coarse) && !predicts_worse() {
         then(&parted, on_parts, why, watch)
     } else {
         then(solver, coarse, because, watch)

@@ -15,6 +15,7 @@ use rayon::prelude::*;
 
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
+use super::held_out::predicts_worse;
 use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
 use super::merging::merge_lamps;
@@ -207,13 +208,7 @@ impl Solver<'_> {
         near: Option<f32>,
         watch: &mut Watch<'_>,
     ) -> Result<CoarseFit<'_>, Stopped> {
-        let sigma = SIGMAS[0];
-        let roots = self.pyramid.roots();
-        let dark = State::new(
-            self.design(&self.coarse, &roots),
-            roots,
-            Brdf::new(model, sigma),
-        );
+        let dark = self.dark_roots(Brdf::new(model, SIGMAS[0]));
         watch.observer.interim(Interim::Lobe(model));
         let is_near = |sigma: f32| {
             let ratio = near.map_or(1.0, |n| sigma / n);
@@ -267,6 +262,12 @@ impl Solver<'_> {
             unexplained: cost.max(f64::MIN_POSITIVE),
             sharpness,
         })
+    }
+
+    /// The coarsest cells, unlit.
+    pub fn dark_roots(&self, brdf: Brdf) -> State<'_> {
+        let roots = self.pyramid.roots();
+        State::new(self.design(&self.coarse, &roots), roots, brdf)
     }
 
     /// Improves a coarse fit by a few steps. These may leave more unexplained than was before them, which does not count against
@@ -350,8 +351,15 @@ impl Solver<'_> {
             return self.finish(state, step, observations, watch);
         };
         let parted = self.parted(&parts);
+        let with_main = state.with_main(main);
+        if predicts_worse(
+            (&parted, &parted.dark_roots(with_main.brdf)),
+            (self, &self.dark_roots(state.brdf)),
+        ) {
+            return self.finish(state, step, observations, watch);
+        }
         let observations = observations.of_parts(&parts);
-        let mut state = parted.on_points(&state.with_main(main), &observations);
+        let mut state = parted.on_points(&with_main, &observations);
         let step = parted.settle(&mut state, watch)?;
         parted.with_parts(state, &step, &observations, rounds - 1, watch)
     }

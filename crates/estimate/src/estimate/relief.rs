@@ -13,6 +13,10 @@
 //! Lamps are points here. Cells would do what normals are wanted to do: with many of them lit, any normals will do. And
 //! they are looked for with a lobe that is too wide, which lights few cells. The final lights and σ are estimated from
 //! the refined surface afresh.
+//!
+//! Under broad light, as in a room, few lamps are no explanation, and normals bent to serve as one are worse than the fair
+//! ones. So the first rounds leave some views out, which the heights then have to explain better than the fair surface does;
+//! where they do not, the fair surface it is.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -27,11 +31,13 @@ use super::cells::{Cell, CellGeometry};
 use super::course::choose;
 use super::design::Design;
 use super::fast::{CoarseFit, Solver, Watch};
+use super::held_out::{CHANCE, left_in};
 use super::observations::{Observations, Point, Seen};
 use super::observer::{Stopped, go_on};
 use super::state::ROUGH;
 use super::visibility::{SeenCells, cell_visibility};
 use super::weights::{eliminate, mean_weights, median, residuals};
+use rekindle_base::math::ranks::signed_ranks;
 use rekindle_base::math::sparse::LowerEntries;
 use rekindle_capture::{Mesh, View};
 use rekindle_scene::hemisphere::{Lamp, find_lamps};
@@ -50,6 +56,11 @@ const LEAST_SHARE: f32 = 0.03;
 /// Rounds, and those in which σ stays as it is, so that the lamps find their places first.
 const ROUNDS: usize = 8;
 const ROUNDS_AT_FIRST_SIGMA: usize = 2;
+/// Rounds from all views but some, which then have to be explained better; and the points at which they are looked at.
+const ROUNDS_ON_TRIAL: usize = 4;
+const POINTS_ON_TRIAL: usize = 4000;
+/// One view in so many is left out then.
+const MOST_TURNS: usize = 3;
 /// A round that changes σ by less than this part of it is the last.
 const SETTLED: f32 = 5e-3;
 
@@ -170,30 +181,39 @@ pub fn refine(
     let Some(mut relief) = start else {
         return Ok(None);
     };
-    let mut mesh = relief.mesh();
-    let mut lamps = {
-        let bench = Bench::new(&mesh, solver.seen.views);
-        wide_lamps(&bench.solver(solver, &mesh), choice, watch)?
-    };
+    let smooth = relief.mesh();
+    let bench = Bench::new(&smooth, solver.seen.views);
+    let solver = bench.solver(solver, &smooth);
+    let (mut lamps, sigma) = wide_lamps(&solver, choice, watch)?;
     if lamps.directions.is_empty() {
         return Ok(None);
     }
+    let turns = solver.seen.views.len().min(MOST_TURNS);
+    let is_out = |view: usize| turns > 2 && view % turns == 0;
     for round in 0..ROUNDS {
         let done = 0.3 + 0.3 * round as f32 / ROUNDS as f32;
         go_on(watch.observer.progress(WHAT, done))?;
-        let bench = Bench::new(&mesh, solver.seen.views);
-        let solver = bench.solver(solver, &mesh);
+        let mut points = relief.points(&solver, &lamps);
+        if round < ROUNDS_ON_TRIAL {
+            points = points.without_views(is_out).0;
+        }
         let free_sigma = round >= ROUNDS_AT_FIRST_SIGMA;
-        let sigma = lamps.brdf.sigma;
-        if relief.step(&solver, &mut lamps, free_sigma).is_none() || watch.observer.enough() {
+        let before = lamps.brdf.sigma;
+        let step = relief.step(&solver, &mut lamps, &points, free_sigma);
+        if step.is_none() || watch.observer.enough() {
             break;
         }
-        mesh = relief.mesh();
-        if free_sigma && (lamps.brdf.sigma / sigma - 1.0).abs() < SETTLED {
+        if round + 1 == ROUNDS_ON_TRIAL {
+            let sigmas = [sigma, WIDER * sigma, lamps.brdf.sigma];
+            if !relief.predicts(&solver, &lamps, &sigmas, is_out) {
+                return Ok(Some(smooth));
+            }
+        }
+        if round >= ROUNDS_ON_TRIAL && (lamps.brdf.sigma / before - 1.0).abs() < SETTLED {
             break;
         }
     }
-    Ok(Some(mesh))
+    Ok(Some(relief.mesh()))
 }
 
 /// Median angle between the normals of two surfaces at the pixels that show both, radians.
@@ -285,12 +305,13 @@ fn pixels_per_triangle(seen: &Seen<'_>) -> f64 {
 /// Long tails would explain normals that are off.
 const SHORT_TAILED: [SpecularModel; 2] = [SpecularModel::Paper, SpecularModel::Beckmann];
 
-/// Lamps in a lobe that is too wide: few, and where the highlights are in the mean over the surface.
+/// Lamps in a lobe that is too wide: few, and where the highlights are in the mean over the surface. Beside them the σ of the lobe
+/// that fits best.
 fn wide_lamps(
     solver: &Solver<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
-) -> Result<Lamps, Stopped> {
+) -> Result<(Lamps, f32), Stopped> {
     let (coarse, _) = choose(solver, choice, &SHORT_TAILED, watch)?;
     let points = solver.middle_observations(&coarse.state);
     let mut state = solver.refine(&coarse.state, &points);
@@ -301,11 +322,12 @@ fn wide_lamps(
     let total: f32 = found.iter().map(Lamp::mean_flux).sum();
     found.retain(|l| l.mean_flux() > LEAST_SHARE * total);
     found.truncate(MOST_LAMPS);
-    Ok(Lamps {
+    let lamps = Lamps {
         directions: found.iter().map(|l| l.direction).collect(),
         flux: found.iter().map(|l| l.flux).collect(),
         brdf: state.brdf,
-    })
+    };
+    Ok((lamps, coarse.state.brdf.sigma))
 }
 
 impl Lamps {
@@ -315,6 +337,12 @@ impl Lamps {
             solid_angles: vec![1.0; self.directions.len()],
             spread: vec![0.0; self.directions.len()],
         }
+    }
+
+    /// The coarsest cells that they lie in.
+    fn around(&self, solver: &Solver<'_>) -> Vec<Cell> {
+        let directions = self.directions.iter();
+        directions.map(|&d| solver.pyramid.root_at(d)).collect()
     }
 
     fn turned(&self, lamp: usize, by: Vec3) -> Self {
@@ -380,15 +408,22 @@ fn central_difference(rows: impl Fn(f32) -> Vec<[f32; 3]>) -> Vec<[f32; 3]> {
 /// The same points with every normal turned by `angle` towards the first or second tangent of its frame.
 pub fn tilted(observations: &Observations, second: bool, angle: f32) -> Observations {
     let mut tilted = observations.clone();
-    for point in &mut tilted.points {
+    turn(&mut tilted, |point| {
         let (t1, t2) = point.normal.any_orthonormal_pair();
         let tangent = if second { t2 } else { t1 };
-        point.normal = (point.normal + angle * tangent).normalize_or_zero();
-        for row in &mut tilted.rows[point.rows.clone()] {
+        (point.normal + angle * tangent).normalize_or_zero()
+    });
+    tilted
+}
+
+/// Gives every point another normal.
+fn turn(observations: &mut Observations, normal: impl Fn(&Point) -> Vec3) {
+    for point in &mut observations.points {
+        point.normal = normal(point);
+        for row in &mut observations.rows[point.rows.clone()] {
             row.cos_view = point.normal.dot(row.to_camera);
         }
     }
-    tilted
 }
 
 /// Normal equations of heights and lamps.
@@ -584,10 +619,59 @@ impl Relief {
         self.fairing.mesh_at(&self.positions())
     }
 
-    /// A Gauss-Newton step of heights and lamps; `solver` is of the present surface. `None` where there is none.
-    fn step(&mut self, solver: &Solver<'_>, lamps: &mut Lamps, free_sigma: bool) -> Option<()> {
-        let observations = solver.points_showing(&lamps.directions, &lamps.brdf, POINTS);
-        let rows = LinearRows::new(&design(solver, lamps, &observations), lamps, free_sigma);
+    /// Points that show a lamp, with the normals of the present surface; `solver` is of the fair one.
+    fn points(&self, solver: &Solver<'_>, lamps: &Lamps) -> Observations {
+        let mut points = solver.points_showing(&lamps.directions, &lamps.brdf, POINTS);
+        self.turn(&mut points);
+        points
+    }
+
+    /// Gives points of the fair surface the normals of the present one.
+    fn turn(&self, observations: &mut Observations) {
+        let mesh = self.mesh();
+        turn(observations, |point| {
+            mesh.point(point.on.0, point.on.1).normal
+        });
+    }
+
+    /// Whether views that had no say in the heights are explained better by them, beyond chance, than by the fair surface at any of
+    /// some roughnesses: with the lamps that were found, as bright on each surface as the other views say.
+    fn predicts(
+        &self,
+        solver: &Solver<'_>,
+        lamps: &Lamps,
+        sigmas: &[f32],
+        is_out: impl Fn(usize) -> bool,
+    ) -> bool {
+        let fair = solver.points_showing(&lamps.directions, &lamps.brdf, POINTS_ON_TRIAL);
+        let fair = fair.to_gray();
+        let mut present = fair.clone();
+        self.turn(&mut present);
+        let around = lamps.around(solver);
+        let left = |points: &Observations, sigma: f32| -> Vec<f64> {
+            let brdf = Brdf {
+                sigma,
+                ..lamps.brdf
+            };
+            let (others, _) = points.without_views(&is_out);
+            let designs = [&others, points].map(|points| design(solver, lamps, points));
+            let left = left_in(designs, &around, brdf, &is_out);
+            left.into_iter().map(|[_, lit]| lit).collect()
+        };
+        let refined = left(&present, lamps.brdf.sigma);
+        let is_better = |&sigma: &f32| signed_ranks(&left(&fair, sigma), &refined) > CHANCE;
+        sigmas.iter().all(is_better)
+    }
+
+    /// A Gauss-Newton step of heights and lamps from points with the present surface's normals. `None` where there is none.
+    fn step(
+        &mut self,
+        solver: &Solver<'_>,
+        lamps: &mut Lamps,
+        observations: &Observations,
+        free_sigma: bool,
+    ) -> Option<()> {
+        let rows = LinearRows::new(&design(solver, lamps, observations), lamps, free_sigma);
         let slopes = self.slopes();
         let points = &observations.points;
         let parts: Vec<Equations> = (0..RUNS)
@@ -685,11 +769,7 @@ fn design<'o>(solver: &Solver<'o>, lamps: &Lamps, observations: &'o Observations
         workspace: solver.workspace,
         stop: solver.stop,
     };
-    let around: Vec<Cell> = lamps
-        .directions
-        .iter()
-        .map(|&d| solver.pyramid.root_at(d))
-        .collect();
+    let around = lamps.around(solver);
     design.seen = cell_visibility(
         &design,
         solver.pyramid,
