@@ -2,4 +2,5 @@
 
 pub mod app;
 pub mod cli;
+mod setups;
 pub mod worker;

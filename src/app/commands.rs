@@ -27,6 +27,8 @@ pub enum Action {
     Export,
     /// Write the object and its light for other programs.
     ExportObject,
+    /// Write a web page in which the object is relit.
+    ExportWeb,
     /// Add a lamp.
     AddLamp,
     /// Put a copy of the selected light beside it.
@@ -258,6 +260,13 @@ pub const ENTRIES: &[Entry] = &[
         Menu::File,
         Some((CTRL.plus(SHIFT), Key::E)),
         "Write the object and its light for Blender, Mitsuba, glTF, USD and others",
+    ),
+    entry(
+        Action::ExportWeb,
+        "Export web page…",
+        Menu::File,
+        None,
+        "Write one file in which anyone with a browser turns the object and moves its lights",
     ),
     apart(entry(
         Action::Welcome,

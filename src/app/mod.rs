@@ -588,7 +588,7 @@ impl App {
                     .is_some_and(Relighting::lacks_photographs),
                 "No photographs are missing.",
             ),
-            Action::Export | Action::ExportObject => {
+            Action::Export | Action::ExportObject | Action::ExportWeb => {
                 unless(self.document().is_some(), ON_RELIGHTING).or_else(|| self.running())
             }
             Action::AddLamp
@@ -733,6 +733,7 @@ impl App {
             }
             Action::Export
             | Action::ExportObject
+            | Action::ExportWeb
             | Action::AddLamp
             | Action::DuplicateLamp
             | Action::DeleteLamp

@@ -1,6 +1,7 @@
 //! `rekindle export`: a solution's object and light for other programs.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::bail;
 
@@ -8,22 +9,26 @@ use super::interrupt::{self, Interrupted};
 use super::progress::Progress;
 use super::render::{check_apart, check_output};
 use super::{OutputArgs, json_path, print_json, print_line};
+use crate::setups;
 use rekindle_capture::read_cameras;
 use rekindle_output::interchange::{
-    Anchor, Form, Job, JobError, MapLayout, Orientation, Source, USUAL_F0, export, reflectance,
+    Anchor, Form, Job, JobError, MapLayout, Orientation, PAGE, Source, USUAL_F0, export,
+    reflectance,
 };
-use rekindle_relight as relight;
+use rekindle_output::web::Setup;
+use rekindle_relight::{self as relight, Lighting};
 use rekindle_solution::{Solution, solution_folder};
+use rekindle_studio::{Document, EXTENSION};
 
 /// Arguments of `rekindle export`.
 #[derive(clap::Args)]
 pub(super) struct ExportArgs {
-    /// Folder of a solution
+    /// Folder of a solution, or a project, whose shown setup is exported
     solution: PathBuf,
-    /// Folder for the files
+    /// Folder for the files; for the web page alone also the name of its file, as object.html
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Only what these programs and forms need (default: all but layers)
+    /// Only what these programs and forms need (default: all but layers and the web page)
     #[arg(long = "for", value_name = "FORM", value_delimiter = ',')]
     forms: Vec<Form>,
     /// File with edits of the lighting
@@ -87,23 +92,91 @@ impl GaugeArgs {
     }
 }
 
+/// What is exported: a solution, and what an artist made of its light.
+struct Opened {
+    solution: Arc<Solution>,
+    lighting: Lighting,
+    /// Names of its lamps; without, they are numbered.
+    names: Vec<String>,
+    setups: Vec<Setup>,
+    /// What the reader has to say, in whole sentences.
+    warnings: Vec<String>,
+}
+
+impl Opened {
+    fn new(path: &Path) -> anyhow::Result<Self> {
+        if path.extension().is_some_and(|e| e == EXTENSION) {
+            let (document, warnings) = Document::open(path)?;
+            return Ok(Self {
+                solution: Arc::clone(document.solution()),
+                lighting: document.light().lighting,
+                names: setups::names(document.look()),
+                setups: setups::of_document(&document),
+                warnings,
+            });
+        }
+        let solution = Solution::load(solution_folder(path))?;
+        Ok(Self {
+            lighting: solution.lighting(),
+            names: Vec::new(),
+            setups: vec![Setup::captured(&solution)],
+            solution: Arc::new(solution),
+            warnings: Vec::new(),
+        })
+    }
+
+    /// Edits the light; the web page has it as a setup of its own.
+    fn edit(&mut self, path: &Path) -> anyhow::Result<()> {
+        self.lighting = relight::apply(&relight::load(path)?, &self.lighting)?;
+        self.names.clear();
+        let stem = path.file_stem().unwrap_or_default();
+        self.setups.push(Setup {
+            name: stem.to_string_lossy().into_owned(),
+            captured: false,
+            lighting: self.lighting.clone(),
+            names: Vec::new(),
+        });
+        Ok(())
+    }
+}
+
+/// Folder of the files, and the web page's name in it.
+fn destination(args: &ExportArgs) -> anyhow::Result<(PathBuf, String)> {
+    let output = &args.output;
+    let (true, Some(name)) = (
+        output.extension().is_some_and(|e| e.eq_ignore_ascii_case("html")),
+        output.file_name(),
+    ) else {
+        return Ok((output.clone(), PAGE.to_owned()));
+    };
+    if args.forms != [Form::Web] || args.per_lamp || args.calibration {
+        bail!(
+            "{}: only a web page is a single file; name a folder, or export by --for web alone",
+            output.display()
+        );
+    }
+    let folder = output.parent().filter(|p| !p.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new("."));
+    Ok((folder.to_owned(), name.to_string_lossy().into_owned()))
+}
+
 pub(super) fn run(args: &ExportArgs, output: OutputArgs) -> anyhow::Result<()> {
     let anchor = args.gauge.anchor()?;
-    check_apart(&args.output, &args.solution)?;
-    let settled = check_output(&args.output)?;
+    let (folder, page) = destination(args)?;
+    check_apart(&folder, &args.solution)?;
+    let settled = check_output(&folder)?;
     let mut progress = Progress::new(output);
     progress.warn_all(&settled);
     progress.stage("reading the solution", 0.0);
-    let solution = Solution::load(solution_folder(&args.solution))?;
-    let edits = match &args.edits {
-        Some(path) => relight::load(path)?,
-        None => Vec::new(),
-    };
+    let mut opened = Opened::new(&args.solution)?;
+    progress.warn_all(&opened.warnings);
     let cameras = match &args.cameras {
-        Some(path) => read_cameras(path, solution.mesh.origin)?,
-        None => solution.cameras.clone(),
+        Some(path) => read_cameras(path, opened.solution.mesh.origin)?,
+        None => opened.solution.cameras.clone(),
     };
-    let lighting = relight::apply(&edits, &solution.lighting())?;
+    if let Some(path) = &args.edits {
+        opened.edit(path)?;
+    }
     interrupt::check()?;
     let wants_cameras = |form: &Form| matches!(form, Form::Cameras | Form::Layers);
     if cameras.is_empty() && args.forms.iter().any(wants_cameras) {
@@ -126,13 +199,15 @@ pub(super) fn run(args: &ExportArgs, output: OutputArgs) -> anyhow::Result<()> {
         },
         per_lamp: args.per_lamp,
         calibration: args.calibration,
-        folder: args.output.clone(),
+        page,
+        folder,
     };
     let source = Source {
-        solution: &solution,
-        lighting: &lighting,
-        names: &[],
+        solution: &opened.solution,
+        lighting: &opened.lighting,
+        names: &opened.names,
         cameras: &cameras,
+        setups: &opened.setups,
         anchor,
     };
     let mut report = |what: &str, part: f32| progress.stage(&format!("writing {what}"), part);
@@ -150,8 +225,10 @@ pub(super) fn run(args: &ExportArgs, output: OutputArgs) -> anyhow::Result<()> {
             "ggx_db": exported.fidelity.map(|f| f.ggx_db),
         }));
     } else if !output.quiet {
-        let count = exported.files.len();
-        print_line(&format!("{}: {count} files", args.output.display()));
+        print_line(&match exported.files.as_slice() {
+            [page] => page.display().to_string(),
+            files => format!("{}: {} files", args.output.display(), files.len()),
+        });
         exported.notes.iter().for_each(|note| print_line(note));
     }
     Ok(())

@@ -16,3 +16,4 @@
 
 pub mod export;
 pub mod interchange;
+pub mod web;

@@ -24,6 +24,7 @@ mod footprints;
 mod interreflection;
 mod irradiance;
 mod lighting;
+pub mod lobes;
 mod measure;
 mod patches;
 mod reflection;

@@ -58,7 +58,6 @@ mod gpu;
 mod light;
 mod light_picture;
 mod lists;
-mod lobes;
 mod pace;
 mod read_back;
 mod renderer;

@@ -6,7 +6,7 @@
 
 use glam::Vec3;
 
-use super::lobes::Source;
+use rekindle_relight::lobes::Source;
 use rekindle_relight::{LampNodes, LightNode, Lighting};
 
 /// Which part of the light.

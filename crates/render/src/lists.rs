@@ -10,7 +10,7 @@ use glam::Vec3;
 
 use super::frame::GpuLobe;
 use super::light::{Part, PartKind};
-use super::lobes::{Lobe, Source, merge};
+use rekindle_relight::lobes::{Lobe, Source, merge};
 
 /// Lobes of other light than lamps in a frame while things move.
 const MOVING: usize = 12;

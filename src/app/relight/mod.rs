@@ -221,6 +221,10 @@ impl Relighting {
             (Action::ResetLamp, Some(id)) => lamps::reset(document, id),
             (Action::Export, _) => self.question = Some(Asked::Pictures),
             (Action::ExportObject, _) => self.question = Some(Asked::Programs),
+            (Action::ExportWeb, _) => {
+                self.programs.choose_web_page();
+                self.question = Some(Asked::Programs);
+            }
             (Action::MuteLamp, Some(id)) => lamps::mute(document, id),
             (Action::SoloLamp, Some(id)) => lamps::solo(document, id),
             (Action::DuplicateLamp, Some(id)) => lamps::duplicate(document, editing, id),

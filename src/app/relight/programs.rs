@@ -8,18 +8,20 @@ use eframe::egui;
 
 use super::exporting::{Answer, buttons, folder_ui};
 use crate::app::theme;
+use crate::setups;
 use crate::worker::Command;
 use rekindle_capture::Camera;
 use rekindle_output::interchange::{
-    Anchor, Form, Job, JobError, MapLayout, Orientation, Source, USUAL_F0, export, reflectance,
+    Anchor, Form, Job, JobError, MapLayout, Orientation, PAGE, Source, USUAL_F0, export, reflectance,
     refractive_index,
 };
+use rekindle_output::web::Setup;
 use rekindle_relight::Lighting;
 use rekindle_solution::Solution;
 use rekindle_studio::Document;
 
 /// What can be chosen, with its name and what it is.
-const FORMS: [(Form, &str, &str); 8] = [
+const FORMS: [(Form, &str, &str); 9] = [
     (
         Form::Blender,
         "Blender",
@@ -43,6 +45,11 @@ const FORMS: [(Form, &str, &str); 8] = [
         Form::Layers,
         "Layers",
         "EXR pictures from all cameras with a light group for each light; they take a while",
+    ),
+    (
+        Form::Web,
+        "Web page",
+        "One file in which anyone with a browser turns the object and moves its lights, with all setups",
     ),
 ];
 
@@ -79,6 +86,11 @@ impl Default for Programs {
 }
 
 impl Programs {
+    /// Asks for the web page alone.
+    pub(super) fn choose_web_page(&mut self) {
+        self.forms = BTreeSet::from([Form::Web]);
+    }
+
     /// Shows the question; `cameras` is how many are known, `folder` where the files go.
     pub(super) fn show(
         &mut self,
@@ -221,16 +233,11 @@ impl Programs {
         cameras: Vec<(String, Camera)>,
         folder: &Path,
     ) -> Command {
-        let light = document.light();
-        let look = document.look();
-        let names = light.lamps.iter().enumerate().map(|(i, id)| {
-            let lamp = look.lamps.iter().find(|l| l.id == *id);
-            lamp.map_or_else(|| format!("Light {}", i + 1), |l| l.name.clone())
-        });
         let handed = Handed {
             solution: Arc::clone(document.solution()),
-            lighting: light.lighting,
-            names: names.collect(),
+            lighting: document.light().lighting,
+            names: setups::names(document.look()),
+            setups: setups::of_document(document),
             cameras,
             anchor: Anchor::F0(reflectance(self.index)),
             job: Job {
@@ -242,6 +249,7 @@ impl Programs {
                 },
                 per_lamp: self.per_lamp,
                 calibration: self.calibration,
+                page: PAGE.to_owned(),
                 folder: folder.to_owned(),
             },
         };
@@ -253,6 +261,7 @@ impl Programs {
                     lighting: &handed.lighting,
                     names: &handed.names,
                     cameras: &handed.cameras,
+                    setups: &handed.setups,
                     anchor: handed.anchor,
                 };
                 let mut progress = |what: &str, part: f32| {
@@ -272,6 +281,7 @@ struct Handed {
     solution: Arc<Solution>,
     lighting: Lighting,
     names: Vec<String>,
+    setups: Vec<Setup>,
     cameras: Vec<(String, Camera)>,
     anchor: Anchor,
     job: Job,

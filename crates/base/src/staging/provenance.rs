@@ -16,8 +16,8 @@ const HEAD: u64 = 4096;
 const SAME: usize = 64;
 const SAME_IN_TABLES: usize = 24;
 /// Formats that always have a maker.
-const SIGNED: [&str; 9] = [
-    "exr", "png", "obj", "mtl", "usda", "glb", "py", "svg", "xml",
+const SIGNED: [&str; 10] = [
+    "exr", "png", "obj", "mtl", "usda", "glb", "py", "svg", "xml", "html",
 ];
 
 /// Which of some files lie in a folder and were certainly written by others, as far as can be said before they are made.

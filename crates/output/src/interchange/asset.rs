@@ -5,6 +5,7 @@ use std::f32::consts::PI;
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
 use super::gauge::Material;
+use crate::web::Setup;
 use rekindle_capture::{Camera, Mesh};
 use rekindle_relight::{LampNodes, LightNode, Lighting};
 use rekindle_scene::reflectance::Gloss;
@@ -31,6 +32,8 @@ pub struct Source<'a> {
     pub names: &'a [String],
     /// Views to look from, with their names.
     pub cameras: &'a [(String, Camera)],
+    /// Light setups of the web page, the captured light among them; without, it has that alone.
+    pub setups: &'a [Setup],
     /// What fixes the scale.
     pub anchor: Anchor,
 }

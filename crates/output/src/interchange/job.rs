@@ -11,12 +11,13 @@ use serde_json::Value;
 use thiserror::Error;
 
 use super::asset::{Asset, Source};
-use super::fidelity::{Fidelity, fidelity};
+use super::fidelity::{Fidelity, fidelity as materials};
 use super::gauge::Material;
 use super::light_map::{MapLayout, Orientation, Part};
-use super::notes::{notes, readme};
+use super::notes::{notes as in_words, readme};
 use super::{blender, glb, light_list, mitsuba, obj, textures, usd};
 use crate::export::{self as pictures, ExportError, Renderer};
+use crate::web::{self, Setup, WebError};
 use rekindle_base::staging::{DestinationError, Staging, write_advice};
 use rekindle_capture::transforms;
 use rekindle_relight::Stop;
@@ -33,6 +34,8 @@ const GLOSS_EXR: &str = "gloss.exr";
 const LIGHT: &str = "light.exr";
 const REST: &str = "light_without_lamps.exr";
 const README: &str = "README.txt";
+/// Usual name of the web page.
+pub const PAGE: &str = "object.html";
 
 /// The widest map, and the narrowest.
 const WIDTHS: std::ops::RangeInclusive<u32> = 16..=16384;
@@ -56,10 +59,12 @@ pub enum Form {
     Obj,
     /// Pictures from the cameras as EXR with layers and a light group for each lamp
     Layers,
+    /// One web page in which the object is turned and relit, to be opened from the file
+    Web,
 }
 
 impl Form {
-    /// Those that are commonly wanted: all but pictures, which take their time.
+    /// Those that are commonly wanted: all but pictures, which take their time, and the web page, which is no other program's.
     pub const USUAL: [Self; 7] = [
         Self::Light,
         Self::Cameras,
@@ -82,6 +87,8 @@ pub struct Job {
     pub per_lamp: bool,
     /// A map with marked axes.
     pub calibration: bool,
+    /// Name of the web page's file.
+    pub page: String,
     /// Folder for the files; others in it stay.
     pub folder: PathBuf,
 }
@@ -100,6 +107,9 @@ pub enum JobError {
         /// Asked for.
         width: u32,
     },
+    /// The web page can't be made.
+    #[error(transparent)]
+    Web(WebError),
     /// The pictures with layers can't be made.
     #[error(transparent)]
     Pictures(ExportError),
@@ -157,15 +167,27 @@ pub fn export(
         (file.write)(&staging.path().join(&file.name)).map_err(failed)?;
         names.push(file.name.clone());
     }
-    progress("comparison of materials", written);
-    let fidelity = fidelity(&asset, stop);
-    if pictures {
-        let mut part = |part: f32, what: &str| progress(what, compared + (1.0 - compared) * part);
-        names.extend(layered_pictures(source, staging.path(), stop, &mut part)?);
+    if job.forms.contains(&Form::Web) {
+        let mut part = |part: f32| progress(&job.page, written * part);
+        let html = web_page(source, stop, &mut part)?;
+        fs::write(staging.path().join(&job.page), html).map_err(failed)?;
+        names.push(job.page.clone());
     }
-    let notes = notes(&asset, fidelity);
-    fs::write(staging.path().join(README), readme(&asset, &names, &notes)).map_err(failed)?;
-    names.push(README.to_owned());
+    // A web page by itself needs no words for other programs.
+    let is_for_programs = job.forms.iter().any(|form| *form != Form::Web);
+    let (mut fidelity, mut notes) = (None, Vec::new());
+    if is_for_programs || job.per_lamp || job.calibration {
+        progress("comparison of materials", written);
+        fidelity = materials(&asset, stop);
+        if pictures {
+            let mut part =
+                |part: f32, what: &str| progress(what, compared + (1.0 - compared) * part);
+            names.extend(layered_pictures(source, staging.path(), stop, &mut part)?);
+        }
+        notes = in_words(&asset, fidelity);
+        fs::write(staging.path().join(README), readme(&asset, &names, &notes)).map_err(failed)?;
+        names.push(README.to_owned());
+    }
     if stop() {
         return Err(JobError::Stopped);
     }
@@ -174,6 +196,25 @@ pub fn export(
         files: names.iter().map(|name| job.folder.join(name)).collect(),
         notes,
         fidelity,
+    })
+}
+
+/// The web page's text, with all setups; first it shows what the first camera does.
+fn web_page(
+    source: &Source,
+    stop: Stop,
+    progress: &mut dyn FnMut(f32),
+) -> Result<String, JobError> {
+    let captured = [Setup::captured(source.solution)];
+    let setups = if source.setups.is_empty() {
+        &captured
+    } else {
+        source.setups
+    };
+    let towards = source.cameras.first().map(|(_, camera)| -camera.forward());
+    web::page(source.solution, setups, towards, stop, progress).map_err(|error| match error {
+        WebError::Stopped => JobError::Stopped,
+        other => JobError::Web(other),
     })
 }
 
@@ -413,7 +454,7 @@ fn files<'a>(asset: &'a Asset, job: &Job) -> Vec<File<'a>> {
             }),
             Form::Usd => files.usd(),
             Form::Obj => files.mesh(),
-            Form::Layers => {}
+            Form::Layers | Form::Web => {}
         }
     }
     if job.per_lamp {

@@ -23,5 +23,5 @@ mod usd;
 pub use asset::{Anchor, Asset, Source};
 pub use fidelity::Fidelity;
 pub use gauge::{Material, USUAL_F0, reflectance, refractive_index};
-pub use job::{Exported, Form, Job, JobError, export};
+pub use job::{Exported, Form, Job, JobError, PAGE, export};
 pub use light_map::{MapLayout, Orientation, Part};

@@ -6,6 +6,7 @@ use glam::{DVec3, Quat};
 
 use super::asset::Asset;
 use super::fidelity::Fidelity;
+use super::job::PAGE;
 use rekindle_scene::reflectance::SpecularModel;
 
 /// Whole sentences about what other programs show differently.
@@ -128,6 +129,10 @@ pub fn readme(asset: &Asset, files: &[String], notes: &[String]) -> String {
         (
             "object.obj",
             "Wavefront OBJ with object.mtl and base_color.png",
+        ),
+        (
+            PAGE,
+            "web page: open it in a browser, turn the object, move its lights",
         ),
         ("light.exr", "the light, lat-long, linear 32-bit float"),
         ("light.hdr", "the same as Radiance HDR"),

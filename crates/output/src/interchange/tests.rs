@@ -45,6 +45,7 @@ fn source<'a>(
         lighting,
         names: &[],
         cameras,
+        setups: &[],
         anchor: Anchor::F0(USUAL_F0),
     }
 }
@@ -403,6 +404,7 @@ fn job(path: &Path, forms: impl IntoIterator<Item = Form>) -> Job {
         layout: layout(Orientation::Blender),
         per_lamp: true,
         calibration: true,
+        page: PAGE.to_owned(),
         folder: path.to_owned(),
     }
 }

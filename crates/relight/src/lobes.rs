@@ -11,7 +11,7 @@ use glam::Vec3;
 
 /// A node of light to be merged.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Source {
+pub struct Source {
     /// Unit direction from the centre.
     pub direction: Vec3,
     /// Radiance × solid angle.
@@ -22,7 +22,7 @@ pub(super) struct Source {
 
 /// Several nodes as one.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Lobe {
+pub struct Lobe {
     /// Unit direction from the centre.
     pub direction: Vec3,
     /// Radiance × solid angle.
@@ -133,7 +133,7 @@ impl Ord for Cluster {
 }
 
 /// Merges nodes into lobes: as few as have no more than the variance `spread`, and no more than `most`.
-pub(super) fn merge(nodes: Vec<Source>, spread: f32, most: usize) -> Vec<Lobe> {
+pub fn merge(nodes: Vec<Source>, spread: f32, most: usize) -> Vec<Lobe> {
     let nodes: Vec<Source> = nodes
         .into_iter()
         .filter(|n| n.flux.element_sum() > 0.0)
