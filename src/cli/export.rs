@@ -144,7 +144,9 @@ impl Opened {
 fn destination(args: &ExportArgs) -> anyhow::Result<(PathBuf, String)> {
     let output = &args.output;
     let (true, Some(name)) = (
-        output.extension().is_some_and(|e| e.eq_ignore_ascii_case("html")),
+        output
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("html")),
         output.file_name(),
     ) else {
         return Ok((output.clone(), PAGE.to_owned()));

@@ -369,6 +369,27 @@ fn what_is_read_is_never_lost() {
     bench.refuses(&render("capture/images"), &photograph);
     bench.refuses(&render("solution"), &["solution: is the solution itself"]);
     bench.refuses(&["export", "solution", "-o", "solution"], &["solution: is"]);
+    let all_in_one = ["export", "solution", "-o", "page.html"];
+    bench.refuses(
+        &all_in_one,
+        &["page.html: only a web page is a single file"],
+    );
+    let page = [
+        "export",
+        "solution",
+        "--for",
+        "web",
+        "-o",
+        "pages/page.html",
+    ];
+    assert!(bench.run(&page).status.success());
+    assert_eq!(
+        fs::read_dir(bench.path("pages")).unwrap().count(),
+        1,
+        "the page alone"
+    );
+    fs::write(bench.path("pages/page.html"), "someone else's").unwrap();
+    bench.refuses(&page, &["page.html"]);
     let align = ["align", "capture", "-o", "capture/mesh.obj", "--from-here"];
     bench.refuses(&align, &["capture/mesh.obj is read and would be lost"]);
     bench.change_manifest(|m| m["mesh_path"] = json!("../solution/mesh.obj"));

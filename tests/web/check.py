@@ -99,7 +99,7 @@ class Page:
     """A page in the browser."""
 
     def __init__(self, browser, path):
-        self.page = browser.new_page(viewport={"width": 912, "height": 640})
+        self.page = browser.new_page(viewport={"width": 752, "height": 480})
         self.said, self.asked = [], []
         self.page.on("console", lambda message: self.said.append(message.text) if message.type == "error" else None)
         self.page.on("pageerror", lambda error: self.said.append(str(error)))

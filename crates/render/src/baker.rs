@@ -10,8 +10,8 @@ use half::f16;
 use rayon::prelude::*;
 
 use super::error::RenderError;
-use rekindle_relight::lobes::{Source, merge};
 use super::surface::{Surface, to_half};
+use rekindle_relight::lobes::{Source, merge};
 use rekindle_relight::{
     LampNodes, LightNode, Lighting, Shader, ShadingPoint, TriangleShares, Visibility,
     texel_irradiance,

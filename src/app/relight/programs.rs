@@ -12,8 +12,8 @@ use crate::setups;
 use crate::worker::Command;
 use rekindle_capture::Camera;
 use rekindle_output::interchange::{
-    Anchor, Form, Job, JobError, MapLayout, Orientation, PAGE, Source, USUAL_F0, export, reflectance,
-    refractive_index,
+    Anchor, Form, Job, JobError, MapLayout, Orientation, PAGE, Source, USUAL_F0, export,
+    reflectance, refractive_index,
 };
 use rekindle_output::web::Setup;
 use rekindle_relight::Lighting;

@@ -381,6 +381,34 @@ fn other_programs_get_the_light_of_the_setup_that_is_shown() {
 }
 
 #[test]
+fn a_web_page_is_exported_with_all_setups() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    click(&mut window, "Mute Light 2");
+    key(&mut window, Modifiers::COMMAND, egui::Key::P);
+    window
+        .get_by_label("Find a command")
+        .type_text("export web");
+    window.run_steps(2);
+    key(&mut window, Modifiers::NONE, egui::Key::Enter);
+    wait_for(&mut window, "Export for other programs");
+    click(&mut window, "Choose folder…");
+    let target = folder.path().join("page");
+    give_path(&mut window, &target);
+    click(&mut window, "Export");
+    wait_for(&mut window, "Exported");
+    let files: Vec<_> = std::fs::read_dir(&target).expect("a folder").collect();
+    assert_eq!(files.len(), 1, "the page alone: {files:?}");
+    let html = std::fs::read_to_string(target.join("object.html")).expect("a page");
+    assert!(html.contains("\"Captured light\"") && html.contains("\"Setup 1\""));
+    assert_eq!(
+        html.matches("\"muted\":true").count(),
+        1,
+        "in the setup alone"
+    );
+}
+
+#[test]
 fn the_captured_light_stays_and_is_compared_with_by_one_key() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut window = window(&saved_solution(folder.path()));

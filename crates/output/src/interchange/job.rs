@@ -11,10 +11,10 @@ use serde_json::Value;
 use thiserror::Error;
 
 use super::asset::{Asset, Source};
-use super::fidelity::{Fidelity, fidelity as materials};
+use super::fidelity::{Fidelity, fidelity};
 use super::gauge::Material;
 use super::light_map::{MapLayout, Orientation, Part};
-use super::notes::{notes as in_words, readme};
+use super::notes::{notes, readme};
 use super::{blender, glb, light_list, mitsuba, obj, textures, usd};
 use crate::export::{self as pictures, ExportError, Renderer};
 use crate::web::{self, Setup, WebError};
@@ -174,20 +174,22 @@ pub fn export(
         names.push(job.page.clone());
     }
     // A web page by itself needs no words for other programs.
-    let is_for_programs = job.forms.iter().any(|form| *form != Form::Web);
-    let (mut fidelity, mut notes) = (None, Vec::new());
-    if is_for_programs || job.per_lamp || job.calibration {
+    let is_page_alone = names == [job.page.as_str()];
+    let (fidelity, notes) = if is_page_alone && !pictures {
+        (None, Vec::new())
+    } else {
         progress("comparison of materials", written);
-        fidelity = materials(&asset, stop);
+        let fidelity = fidelity(&asset, stop);
         if pictures {
             let mut part =
                 |part: f32, what: &str| progress(what, compared + (1.0 - compared) * part);
             names.extend(layered_pictures(source, staging.path(), stop, &mut part)?);
         }
-        notes = in_words(&asset, fidelity);
+        let notes = notes(&asset, fidelity);
         fs::write(staging.path().join(README), readme(&asset, &names, &notes)).map_err(failed)?;
         names.push(README.to_owned());
-    }
+        (fidelity, notes)
+    };
     if stop() {
         return Err(JobError::Stopped);
     }
@@ -206,7 +208,7 @@ fn web_page(
     progress: &mut dyn FnMut(f32),
 ) -> Result<String, JobError> {
     let captured = [Setup::captured(source.solution)];
-    let setups = if source.setups.is_empty() {
+    let setups: &[Setup] = if source.setups.is_empty() {
         &captured
     } else {
         source.setups

@@ -72,9 +72,15 @@ impl Geometry {
     pub(super) fn put(&self, page: &mut Page) -> Value {
         let wide = |list: &[u32]| differences(list.iter().copied(), 4);
         let narrow = |list: &[u16]| differences(list.iter().map(|&n| u32::from(n)), 2);
-        page.pack("vertices", &self.vertices.each_ref().map(|list| narrow(list)).concat());
+        page.pack(
+            "vertices",
+            &self.vertices.each_ref().map(|list| narrow(list)).concat(),
+        );
         page.pack("corner-vertices", &wide(&self.corner_vertices));
-        page.pack("corner-uvs", &self.corner_uvs.each_ref().map(|list| narrow(list)).concat());
+        page.pack(
+            "corner-uvs",
+            &self.corner_uvs.each_ref().map(|list| narrow(list)).concat(),
+        );
         page.pack("triangles", &wide(&self.triangles));
         json!({
             "low": self.low.to_array(),
@@ -131,7 +137,11 @@ mod tests {
     /// What the page's script does, in its words.
     fn undone(bytes: &[u8], width: usize) -> Vec<u32> {
         let count = bytes.len() / width;
-        let mask = if width == 4 { u32::MAX } else { (1 << (8 * width)) - 1 };
+        let mask = if width == 4 {
+            u32::MAX
+        } else {
+            (1 << (8 * width)) - 1
+        };
         let mut before = 0_u32;
         (0..count)
             .map(|i| {
@@ -171,7 +181,10 @@ mod tests {
             let z = 1.0 - at.x.abs() - at.y.abs();
             let fold = (-z).max(0.0);
             let back = Vec3::new(at.x - fold * at.x.signum(), at.y - fold * at.y.signum(), z);
-            assert!(back.normalize_or_zero().distance(direction) < 1e-4, "{direction}: {back}");
+            assert!(
+                back.normalize_or_zero().distance(direction) < 1e-4,
+                "{direction}: {back}"
+            );
         }
     }
 }

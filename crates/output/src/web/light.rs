@@ -24,7 +24,10 @@ const DIFFUSE_VARIANCE: f32 = 0.1;
 pub(super) fn setup(setup: &Setup, solution: &Solution, occluder: &Occluder, white: f32) -> Value {
     let lighting = &setup.lighting;
     let sigma = solution.brdf.map(|brdf| {
-        let narrowest = solution.gloss.as_ref().map_or(1.0, |gloss| gloss.narrowest());
+        let narrowest = solution
+            .gloss
+            .as_ref()
+            .map_or(1.0, |gloss| gloss.narrowest());
         brdf.sigma * narrowest
     });
     let spread = LARGEST_SPREAD * sigma.map_or(DIFFUSE_VARIANCE, |sigma| sigma * sigma);

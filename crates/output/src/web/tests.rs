@@ -31,40 +31,54 @@ fn scene_of(html: &str) -> Value {
 /// Bytes of a piece of data.
 fn data_of(html: &str, name: &str) -> Vec<u8> {
     use base64::Engine as _;
-    let (_, rest) = html.split_once(&format!("<script id=\"{name}\"")).expect(name);
+    let (_, rest) = html
+        .split_once(&format!("<script id=\"{name}\""))
+        .expect(name);
     let (_, rest) = rest.split_once('>').expect("its text");
     let (text, _) = rest.split_once("</script>").expect("its end");
-    base64::engine::general_purpose::STANDARD.decode(text).expect("base64")
+    base64::engine::general_purpose::STANDARD
+        .decode(text)
+        .expect("base64")
 }
 
 /// Σ flux over a list of seven numbers for each lobe.
 fn flux_of(lobes: &Value) -> Vec3 {
     let numbers: Vec<f32> = serde_json::from_value(lobes.clone()).expect("numbers");
-    let fluxes = numbers.chunks(7).map(|lobe| Vec3::new(lobe[3], lobe[4], lobe[5]));
+    let fluxes = numbers
+        .chunks(7)
+        .map(|lobe| Vec3::new(lobe[3], lobe[4], lobe[5]));
     fluxes.sum()
 }
 
 #[test]
 fn a_page_asks_for_nothing_beyond_itself_and_is_small() {
     let html = fixture_page();
-    for beyond in ["http:", "https:", "src=", "href=", "@import", "url(", "fetch(", "import("] {
+    for beyond in [
+        "http:", "https:", "src=", "href=", "@import", "url(", "fetch(", "import(",
+    ] {
         assert!(!html.contains(beyond), "{beyond}");
     }
     assert!(!html.contains("{{"), "a mark is left");
     assert!(html.len() < 1_000_000, "{} bytes", html.len());
-    assert!(html[..4096].contains("rekindle"), "its maker is named at its beginning");
+    assert!(
+        html[..4096].contains("rekindle"),
+        "its maker is named at its beginning"
+    );
 }
 
 #[test]
 fn names_end_no_element_and_come_through() {
-    let mut solution = (*fixtures::solution()).clone();
+    let mut solution = Arc::into_inner(fixtures::solution()).expect("its only owner");
     let bad = "</script><script>alert(\"1\")</script><!-- & ' \\";
     bad.clone_into(&mut solution.name);
     let mut setup = Setup::captured(&solution);
     bad.clone_into(&mut setup.name);
     setup.names = vec![bad.to_owned(); 3];
     let html = page_of(&solution, &[setup]);
-    assert_eq!(html.matches("<script").count(), html.matches("</script>").count());
+    assert_eq!(
+        html.matches("<script").count(),
+        html.matches("</script>").count()
+    );
     assert!(!html.contains("<script>alert") && !html.contains("<!-- &"));
     let scene = scene_of(&html);
     assert_eq!(scene["name"], bad);
@@ -118,7 +132,10 @@ fn no_light_is_lost_and_no_setup_has_too_many_lobes() {
         .collect();
     let html = page_of(&solution, &[captured.clone(), many.clone()]);
     let scene = scene_of(&html);
-    for (setup, shown) in [captured, many].iter().zip(scene["setups"].as_array().unwrap()) {
+    for (setup, shown) in [captured, many]
+        .iter()
+        .zip(scene["setups"].as_array().unwrap())
+    {
         let mut lobes = 0;
         let mut alike = |given: Vec3, shown: &Value| {
             let error = (flux_of(shown) - given / white).length();
@@ -148,10 +165,16 @@ fn the_textures_are_the_solutions() {
         ("albedo", &solution.albedo, 1.0),
     ] {
         let scale = scene["textures"][name].as_f64().unwrap() as f32 * unit;
-        let picture = image::load_from_memory(&data_of(&html, name)).expect("a JPEG").to_rgb8();
+        let picture = image::load_from_memory(&data_of(&html, name))
+            .expect("a JPEG")
+            .to_rgb8();
         let linear = |byte: u8| {
             let v = f32::from(byte) / 255.0;
-            if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+            if v <= 0.04045 {
+                v / 12.92
+            } else {
+                ((v + 0.055) / 1.055).powf(2.4)
+            }
         };
         let largest = texture.iter().flatten().fold(0.0_f32, |m, v| m.max(*v));
         let (mut squares, mut count) = (0.0, 0.0);
@@ -179,13 +202,17 @@ fn what_the_surface_sends_to_itself_is_as_the_reference_has_it() {
         (Vec3::new(0.48, 0.8, 0.36), Vec3::new(3.0, 2.0, 1.0)),
         (Vec3::new(-0.6, 0.0, -0.8), Vec3::new(0.5, 1.0, 2.0)),
     ] {
-        lighting.lamps.push(LampNodes::disc(direction, flux, 0.02, None));
+        lighting
+            .lamps
+            .push(LampNodes::disc(direction, flux, 0.02, None));
     }
     let shader = rekindle_relight::Shader::new(&occluder, solution.brdf, &lighting);
     let relit = around.of_light(&solution.mesh, &shader, &solution.atlas, &solution.albedo);
     let (mut error, mut all) = (0.0, 0.0);
     for triangle in 0..solution.mesh.triangles.len() as u32 {
-        let expected = relit.indirect.at(&solution.mesh, triangle, glam::Vec2::ZERO);
+        let expected = relit
+            .indirect
+            .at(&solution.mesh, triangle, glam::Vec2::ZERO);
         let vertex = solution.mesh.triangles[triangle as usize][0];
         let found = transfer.irradiance(vertex as usize, &lighting);
         error += (found - expected).length_squared();
@@ -198,14 +225,19 @@ fn what_the_surface_sends_to_itself_is_as_the_reference_has_it() {
 
 #[test]
 fn a_mesh_that_no_page_can_show_is_refused() {
-    let mut solution = (*fixtures::solution()).clone();
+    let mut solution = Arc::into_inner(fixtures::solution()).expect("its only owner");
     let refused = |solution: &Solution| {
-        page(solution, &[], None, &|| false, &mut |_| {}).expect_err("refused").to_string()
+        page(solution, &[], None, &|| false, &mut |_| {})
+            .expect_err("refused")
+            .to_string()
     };
     let triangle = solution.mesh.triangles[0];
     solution.mesh.triangles = vec![triangle; MOST_TRIANGLES + 1];
     let said = refused(&solution);
-    assert!(said.contains("1000001 triangles") && said.contains("decimate"), "{said}");
+    assert!(
+        said.contains("1000001 triangles") && said.contains("decimate"),
+        "{said}"
+    );
     solution.mesh.triangles.clear();
     assert!(refused(&solution).contains("no triangles"));
 }
@@ -218,7 +250,10 @@ fn a_setup_with_more_lights_than_the_shaders_hold_is_refused() {
     setup.lighting.lamps = vec![lamp; 201];
     let refused = page(&solution, &[setup], None, &|| false, &mut |_| {});
     let said = refused.expect_err("refused").to_string();
-    assert!(said.contains("Captured light") && said.contains("201 lights"), "{said}");
+    assert!(
+        said.contains("Captured light") && said.contains("201 lights"),
+        "{said}"
+    );
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! The textures as pictures that browsers decode: diffuse radiance and pseudo-albedo as JPEG, sRGB-encoded up to a largest value;
 //! gloss as PNG, whose steps must stay as they are.
 
-use std::borrow::Cow;
 use std::io;
 
 use glam::{Vec2, Vec3};
@@ -50,25 +49,34 @@ struct GlossPicture {
 impl Textures {
     /// The textures of a solution.
     pub(super) fn new(solution: &Solution) -> io::Result<Self> {
-        let atlas = page_atlas(solution);
+        let layout = Layout::new(solution);
         let texture = |texels: &[[f32; 3]]| {
-            let moved = moved(&atlas, solution, |atlas, triangle, barycentric| {
-                atlas.sample(texels, triangle, barycentric)
-            });
-            encode(&atlas, &moved)
+            let colours = layout.colours(
+                |texel| Vec3::from(texels[texel]),
+                |triangle, barycentric| solution.atlas.sample(texels, triangle, barycentric),
+            );
+            encode(&layout, colours)
         };
         let gloss = (solution.gloss.as_ref()).map(|gloss| {
-            let texels = moved(&atlas, solution, |own, triangle, barycentric| {
-                let Gloss { roughness, strength } = gloss.at(own, triangle, barycentric);
+            let code = |Gloss {
+                            roughness,
+                            strength,
+                        }: Gloss| {
                 let log = (roughness / LEAST_ROUGHNESS).ln().max(0.0);
                 Vec3::new(log * strength, strength, 0.0)
-            });
-            encode_gloss(&atlas, &texels)
+            };
+            let texels = layout.colours(
+                |texel| code(gloss.texels()[texel]),
+                |triangle, barycentric| code(gloss.at(&solution.atlas, triangle, barycentric)),
+            );
+            encode_gloss(layout.size, &texels)
         });
-        let size = Vec2::new(atlas.width as f32, atlas.height as f32);
-        let uvs = atlas.corner_uvs.iter();
+        let [width, height] = layout.size.map(|side| side as f32);
+        let uvs = layout.atlas().corner_uvs.iter();
         Ok(Self {
-            corner_uvs: uvs.map(|corners| corners.map(|at| at / size)).collect(),
+            corner_uvs: uvs
+                .map(|corners| corners.map(|at| at / Vec2::new(width, height)))
+                .collect(),
             diffuse: texture(&solution.diffuse)?,
             albedo: texture(&solution.albedo)?,
             gloss: gloss.transpose()?,
@@ -91,75 +99,104 @@ impl Textures {
 }
 
 /// Where the page's texels lie: as in the solution, or further apart where these are many.
-fn page_atlas(solution: &Solution) -> Cow<'_, Atlas> {
-    let own = &solution.atlas;
-    let texels = own.width as f32 * own.height as f32;
-    if texels <= MOST_TEXELS {
-        return Cow::Borrowed(own);
-    }
-    let mesh = &solution.mesh;
-    let area: f64 = (0..mesh.triangles.len() as u32)
-        .map(|t| {
-            let [a, b, c] = mesh.corners(t);
-            0.5 * f64::from((b - a).cross(c - a).length())
-        })
-        .sum();
-    let density = (f64::from(MOST_TEXELS) / area.max(f64::MIN_POSITIVE)).sqrt() as f32;
-    Cow::Owned(Atlas::lattice(mesh, &vec![density; mesh.triangles.len()]))
+struct Layout<'a> {
+    solution: &'a Solution,
+    /// Its own, where it isn't the solution's.
+    coarser: Option<Atlas>,
+    size: [u32; 2],
+    /// Per texel, whether it shows the surface.
+    known: Vec<bool>,
 }
 
-/// What each texel of an atlas shows, as `at` finds it in the solution's own; black where there is no surface.
-fn moved(
-    atlas: &Atlas,
-    solution: &Solution,
-    at: impl Fn(&Atlas, u32, Vec2) -> Vec3 + Sync,
-) -> Vec<Vec3> {
-    let mut all = vec![Vec3::ZERO; atlas.len()];
-    let values: Vec<Vec3> = (atlas.texels.par_iter())
-        .map(|texel| at(&solution.atlas, texel.triangle, texel.barycentric))
-        .collect();
-    for (texel, value) in atlas.texels.iter().zip(values) {
-        all[texel.index as usize] = value;
+impl<'a> Layout<'a> {
+    fn new(solution: &'a Solution) -> Self {
+        let own = &solution.atlas;
+        if own.width as f32 * own.height as f32 <= MOST_TEXELS {
+            return Self {
+                solution,
+                coarser: None,
+                size: [own.width, own.height],
+                known: solution.albedo.iter().map(|a| *a != [0.0; 3]).collect(),
+            };
+        }
+        let mesh = &solution.mesh;
+        let area: f64 = (0..mesh.triangles.len() as u32)
+            .map(|t| {
+                let [a, b, c] = mesh.corners(t);
+                0.5 * f64::from((b - a).cross(c - a).length())
+            })
+            .sum();
+        let density = (f64::from(MOST_TEXELS) / area.max(f64::MIN_POSITIVE)).sqrt() as f32;
+        let coarser = Atlas::lattice(mesh, &vec![density; mesh.triangles.len()]);
+        let mut known = vec![false; coarser.len()];
+        for texel in &coarser.texels {
+            known[texel.index as usize] = true;
+        }
+        Self {
+            solution,
+            size: [coarser.width, coarser.height],
+            coarser: Some(coarser),
+            known,
+        }
     }
-    all
+
+    fn atlas(&self) -> &Atlas {
+        self.coarser.as_ref().unwrap_or(&self.solution.atlas)
+    }
+
+    /// The value of each texel, from that of a texel of the solution or of a point of the mesh; black where there is no surface.
+    fn colours(
+        &self,
+        own: impl Fn(usize) -> Vec3 + Sync + Send,
+        at: impl Fn(u32, Vec2) -> Vec3 + Sync,
+    ) -> Vec<Vec3> {
+        let Some(atlas) = &self.coarser else {
+            return (0..self.known.len()).into_par_iter().map(own).collect();
+        };
+        let mut all = vec![Vec3::ZERO; atlas.len()];
+        let values: Vec<Vec3> = (atlas.texels.par_iter())
+            .map(|texel| at(texel.triangle, texel.barycentric))
+            .collect();
+        for (texel, value) in atlas.texels.iter().zip(values) {
+            all[texel.index as usize] = value;
+        }
+        all
+    }
 }
 
 /// Colours as JPEG. Texels without surface take the colours around them, which cost least.
-fn encode(atlas: &Atlas, colours: &[Vec3]) -> io::Result<Encoded> {
-    let mut values: Vec<f32> = (atlas.texels.iter())
-        .map(|texel| colours[texel.index as usize].max_element())
-        .collect();
+fn encode(layout: &Layout, colours: Vec<Vec3>) -> io::Result<Encoded> {
+    let known = colours.iter().zip(&layout.known).filter(|(_, k)| **k);
+    let mut values: Vec<f32> = known.map(|(colour, _)| colour.max_element()).collect();
     let scale = if values.is_empty() {
         1.0
     } else {
         let at = ((values.len() - 1) as f32 * (1.0 - CLIPPED)) as usize;
-        values.select_nth_unstable_by(at, f32::total_cmp).1.max(f32::MIN_POSITIVE)
+        let (_, value, _) = values.select_nth_unstable_by(at, f32::total_cmp);
+        value.max(f32::MIN_POSITIVE)
     };
-    let mut known = vec![false; colours.len()];
-    for texel in &atlas.texels {
-        known[texel.index as usize] = true;
-    }
-    let codes: Vec<Vec3> = (colours.par_iter())
-        .map(|&colour| srgb(colour / scale))
+    let [width, height] = layout.size;
+    let codes: Vec<Vec3> = (colours.into_par_iter())
+        .map(|colour| srgb(colour / scale))
         .collect();
-    let filled = filled([atlas.width as usize, atlas.height as usize], codes, &known);
+    let filled = filled([width as usize, height as usize], codes, &layout.known);
     let bytes: Vec<u8> = (filled.iter())
         .flat_map(|colour| colour.to_array().map(byte))
         .collect();
     let mut file = Vec::new();
     JpegEncoder::new_with_quality(&mut file, QUALITY)
-        .encode(&bytes, atlas.width, atlas.height, image::ExtendedColorType::Rgb8)
+        .encode(&bytes, width, height, image::ExtendedColorType::Rgb8)
         .map_err(io::Error::other)?;
     Ok(Encoded { file, scale })
 }
 
-fn encode_gloss(atlas: &Atlas, texels: &[Vec3]) -> io::Result<GlossPicture> {
+fn encode_gloss([width, height]: [u32; 2], texels: &[Vec3]) -> io::Result<GlossPicture> {
     let largest = texels.iter().copied().fold(Vec3::splat(1e-6), Vec3::max);
     let bytes: Vec<u8> = (texels.iter())
         .flat_map(|&texel| (texel / largest).to_array().map(byte))
         .collect();
     let mut file = Vec::new();
-    let mut encoder = png::Encoder::new(&mut file, atlas.width, atlas.height);
+    let mut encoder = png::Encoder::new(&mut file, width, height);
     encoder.set_color(png::ColorType::Rgb);
     let mut writer = encoder.write_header().map_err(io::Error::other)?;
     writer.write_image_data(&bytes).map_err(io::Error::other)?;

@@ -80,7 +80,10 @@ impl Transfer {
     pub(super) fn irradiance(&self, vertex: usize, lighting: &Lighting) -> Vec3 {
         let mut sum = self.coefficients[vertex][COEFFICIENTS - 1] * lighting.ambient;
         for lamp in &lighting.lamps {
-            for (t, y) in self.coefficients[vertex].iter().zip(harmonics(lamp.direction)) {
+            for (t, y) in self.coefficients[vertex]
+                .iter()
+                .zip(harmonics(lamp.direction))
+            {
                 sum += *t * y * lamp.flux();
             }
         }
@@ -90,7 +93,10 @@ impl Transfer {
     /// Puts T into the page in bytes; the largest value of each coefficient, which is the byte ±127.
     pub(super) fn put(&self, page: &mut Page) -> Value {
         let scales: [f32; COEFFICIENTS] = std::array::from_fn(|k| {
-            let values = self.coefficients.iter().map(|own| own[k].abs().max_element());
+            let values = self
+                .coefficients
+                .iter()
+                .map(|own| own[k].abs().max_element());
             values.fold(f32::MIN_POSITIVE, f32::max)
         });
         let byte = |value: f32, scale: f32| (value / scale * 127.0).round() as i8 as u8;

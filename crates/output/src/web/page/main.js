@@ -20,7 +20,8 @@ class Viewpoint {
       target: [0, 0, 0],
       turn: Math.atan2(dot(back, this.forward), dot(back, this.right)),
       height: Math.min(Math.max(Math.asin(Math.min(Math.max(dot(back, this.up), -1), 1)), -STEEPEST), STEEPEST),
-      distance: (1.02 * radius) / Math.sin(0.5 * FIELD),
+      // All handles are in sight.
+      distance: (1.05 * REACH * radius) / Math.sin(0.5 * FIELD),
     };
     this.reset();
   }
