@@ -4,9 +4,9 @@
 //! which everything stays live: lights are dragged, dimmed, coloured and muted. Its parts:
 //!
 //! * `page/` is the page without data: HTML, style, the scripts, and the shaders, twins of those in `shaders/`;
-//! * [`geometry`] is the surface in 16-bit numbers, [`textures`] are JPEG and PNG pictures;
-//! * [`light`] is each lamp as few lobes, which is what the page's shaders add up;
-//! * [`transfer`] is what the surface sends to itself, as a function of where light comes from.
+//! * `geometry` is the surface in 16-bit numbers, `textures` are JPEG and PNG pictures;
+//! * `light` is each lamp as few lobes, which is what the page's shaders add up;
+//! * `transfer` is what the surface sends to itself, as a function of where light comes from.
 //!
 //! Radiance in the page is in units of the solution's white, positions are relative to the object's centre.
 

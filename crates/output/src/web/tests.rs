@@ -8,7 +8,7 @@ use glam::{DVec3, Quat, Vec3};
 use serde_json::Value;
 
 use super::*;
-use rekindle_relight::{Interreflection, LampNodes};
+use rekindle_relight::{Interreflection, LampNodes, LightNode};
 use rekindle_studio::fixtures;
 
 fn page_of(solution: &Solution, setups: &[Setup]) -> String {
@@ -86,11 +86,11 @@ fn names_end_no_element_and_come_through() {
     assert_eq!(scene["setups"][0]["lamps"][2]["name"], bad);
 }
 
-/// Every number, with the way to it; what is no number, text, truth or list of these is told too.
-fn each_null(value: &Value, way: &str, found: &mut Vec<String>) {
+/// Names of the fields that hold nothing.
+fn each_null(value: &Value, name: &str, found: &mut Vec<String>) {
     match value {
-        Value::Null => found.push(way.to_owned()),
-        Value::Array(all) => all.iter().for_each(|v| each_null(v, way, found)),
+        Value::Null => found.push(name.to_owned()),
+        Value::Array(all) => all.iter().for_each(|v| each_null(v, name, found)),
         Value::Object(all) => all.iter().for_each(|(name, v)| each_null(v, name, found)),
         _ => {}
     }
@@ -147,7 +147,7 @@ fn no_light_is_lost_and_no_setup_has_too_many_lobes() {
         for (lamp, shown) in setup.lighting.lamps.iter().zip(lamps) {
             alike(lamp.flux(), &shown["lobes"]);
         }
-        let nodes = |nodes: &[rekindle_relight::LightNode]| nodes.iter().map(|n| n.flux()).sum();
+        let nodes = |nodes: &[LightNode]| nodes.iter().map(LightNode::flux).sum();
         alike(nodes(&setup.lighting.remainder), &shown["rest"][0]["lobes"]);
         let environment = setup.lighting.environment.iter().map(LampNodes::flux).sum();
         alike(environment, &shown["rest"][1]["lobes"]);

@@ -241,6 +241,7 @@ async function start() {
   renderer.load(scene, await unpackGeometry(scene.geometry), pictures, transfer);
   const viewpoint = new Viewpoint(scene);
   const light = new Light(scene.setups);
+  element("panel").hidden = false;
   let waiting = false;
   const later = () => {
     if (!waiting) {
