@@ -369,6 +369,18 @@ fn what_is_read_is_never_lost() {
     bench.refuses(&render("capture/images"), &photograph);
     bench.refuses(&render("solution"), &["solution: is the solution itself"]);
     bench.refuses(&["export", "solution", "-o", "solution"], &["solution: is"]);
+    let align = ["align", "capture", "-o", "capture/mesh.obj", "--from-here"];
+    bench.refuses(&align, &["capture/mesh.obj is read and would be lost"]);
+    bench.change_manifest(|m| m["mesh_path"] = json!("../solution/mesh.obj"));
+    let mesh = ["solution/mesh.obj is read and would be lost"];
+    bench.refuses(&solve("solution"), &mesh);
+    assert!(bench.run(&["info", "solution"]).status.success());
+}
+
+#[test]
+fn a_web_page_is_one_file_and_replaces_no_others() {
+    let bench = Bench::new();
+    bench.solve();
     let all_in_one = ["export", "solution", "-o", "page.html"];
     bench.refuses(
         &all_in_one,
@@ -390,12 +402,6 @@ fn what_is_read_is_never_lost() {
     );
     fs::write(bench.path("pages/page.html"), "someone else's").unwrap();
     bench.refuses(&page, &["page.html"]);
-    let align = ["align", "capture", "-o", "capture/mesh.obj", "--from-here"];
-    bench.refuses(&align, &["capture/mesh.obj is read and would be lost"]);
-    bench.change_manifest(|m| m["mesh_path"] = json!("../solution/mesh.obj"));
-    let mesh = ["solution/mesh.obj is read and would be lost"];
-    bench.refuses(&solve("solution"), &mesh);
-    assert!(bench.run(&["info", "solution"]).status.success());
 }
 
 #[test]

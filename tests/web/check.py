@@ -5,9 +5,9 @@
 Without a solution it takes the demo's. It needs a built target/release/rekindle (or its path in REKINDLE), Chromium (or its path in
 CHROMIUM), and `pip install numpy OpenEXR Pillow playwright`. WebGL runs in software, so that any machine will do.
 
-Every page is opened from its file without a network. What is compared, in display values under AgX before the page's grey, in dB:
-the first view under the captured light; a light dragged by its handle; one muted, dimmed and coloured in the panel. The expected
-pictures are `rekindle render`'s for the same camera and the edits that come to the same. The script fails where one comes out
+Every page is opened from its file without a network. What is compared, in display values before the page's grey, in dB: the
+first view under the captured light, as sRGB and under AgX; a light dragged by its handle; one muted, dimmed and coloured in the
+panel. The expected pictures are `rekindle render`'s for the same camera and the edits that come to the same. The script fails where one comes out
 below its target, where the page says an error, asks for anything beyond its file, or a setup shows the wrong light. Screenshots
 are left in the folder web-check.
 """
@@ -60,7 +60,12 @@ def agx(linear):
     stops = np.log2(np.maximum(linear @ to_2020.T @ inset.T, 1e-10))
     x = np.clip((stops + 12.47393) / (4.026069 + 12.47393), 0, 1)
     curve = 15.5 * x**6 - 40.14 * x**5 + 31.96 * x**4 - 6.868 * x**3 + 0.4298 * x**2 + 0.1191 * x - 0.00232
-    shown = np.clip((np.maximum(curve @ outset.T, 0) ** 2.2) @ from_2020.T, 0, 1)
+    return srgb((np.maximum(curve @ outset.T, 0) ** 2.2) @ from_2020.T)
+
+
+def srgb(linear):
+    """Display values, cut at white."""
+    shown = np.clip(linear, 0, 1)
     return np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * shown ** (1 / 2.4) - 0.055)
 
 
@@ -78,7 +83,7 @@ def white(solution):
     return 1.3 * sorted_means[(len(sorted_means) - 1) * 98 // 100]
 
 
-def reference(solution, camera, edits, folder):
+def reference(solution, camera, edits, folder, transform=srgb):
     """The program's picture with the page's background, and what the object covers."""
     frame = {"file_path": "view.png", "transform_matrix": camera["transform_matrix"]}
     rest = {k: v for k, v in camera.items() if k != "transform_matrix"}
@@ -88,7 +93,7 @@ def reference(solution, camera, edits, folder):
     rekindle("render", solution, "--cameras", folder / "camera.json", "--edits", folder / "edits.json", "-o", output)
     pixels = read_exr(output / "view.exr", "RGBA")
     alpha = np.clip(pixels[..., 3:], 0, 1)
-    shown = agx(pixels[..., :3] / np.maximum(alpha, 1e-6) / white(solution))
+    shown = transform(pixels[..., :3] / np.maximum(alpha, 1e-6) / white(solution))
     return STAGE * (1 - alpha) + shown * alpha, alpha[..., 0] > 0
 
 
@@ -176,9 +181,9 @@ def check(browser, solution, folder):
     name = solution.parent.name if solution.name == "solution" else solution.name
     results = []
 
-    def compare(what, page, edits, target):
+    def compare(what, page, edits, target, transform=agx):
         shown = page.picture()
-        expected, where = reference(solution, page.camera(), edits, folder)
+        expected, where = reference(solution, page.camera(), edits, folder, transform)
         db = decibels(shown, expected, where)
         print(f"{name}: {what}: {db:.1f} dB (target {target:.0f})", flush=True)
         page.shoot(f"{name}_{what.replace(' ', '_')}")
@@ -194,6 +199,8 @@ def check(browser, solution, folder):
     summary = json.loads((solution / "solution.json").read_text())
     mirrors = summary.get("specular_model") in ("beckmann", "ggx")
     targets = [WITHOUT_MIRRORS if mirrors else target for target in (CAPTURED, EDITED)]
+    compare("first view", page, [], targets[0], srgb)
+    page.set("#transform", 1)
     captured = compare("captured light", page, [], targets[0])
     lights = summary["lights"]
     centre, radius = box_of(solution)

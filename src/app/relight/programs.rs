@@ -104,7 +104,7 @@ impl Programs {
             .show(ctx, |ui| {
                 ui.set_width(460.0);
                 ui.heading("Export for other programs");
-                ui.label("The object and the light of the setup that is shown.");
+                ui.label("The object and the light of the setup that is shown; a web page has all setups.");
                 ui.add_space(theme::GAP * 0.5);
                 egui::Grid::new("programs settings")
                     .num_columns(2)

@@ -8,7 +8,7 @@ class Panel {
     this.light = light;
     this.selected = light.setup.lamps.length > 0 ? 0 : -1;
     this.changed = changed;
-    this.shown = { exposure: 1, transform: 1, background: [18 / 255, 18 / 255, 18 / 255] };
+    this.shown = { exposure: 1, transform: 0, background: [18 / 255, 18 / 255, 18 / 255] };
     this.onLight("stops", (value) => (this.lamp().stops = Number(value)));
     this.onLight("colour", (value) => light.setColour(this.selected, colourOf(value)));
     this.onLight("ambient", (value) => (light.setup.ambient = Number(value)));
