@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::{Setup, list};
 use rekindle_relight::lobes::{Lobe, Source, merge};
 use rekindle_relight::{LightNode, Lighting, Shader, ShadingPoint};
-use rekindle_scene::surface::Occluder;
+use rekindle_scene::surface::{GlossTexture, Occluder};
 use rekindle_solution::Solution;
 
 /// Lobes of all light in a setup, unless every lamp needs one: as many shadow maps share one texture of 4096 × 4096.
@@ -24,10 +24,7 @@ const DIFFUSE_VARIANCE: f32 = 0.1;
 pub(super) fn setup(setup: &Setup, solution: &Solution, occluder: &Occluder, white: f32) -> Value {
     let lighting = &setup.lighting;
     let sigma = solution.brdf.map(|brdf| {
-        let narrowest = solution
-            .gloss
-            .as_ref()
-            .map_or(1.0, |gloss| gloss.narrowest());
+        let narrowest = solution.gloss.as_ref().map_or(1.0, GlossTexture::narrowest);
         brdf.sigma * narrowest
     });
     let spread = LARGEST_SPREAD * sigma.map_or(DIFFUSE_VARIANCE, |sigma| sigma * sigma);
