@@ -509,12 +509,17 @@ impl App {
             1 => "One light was found.".to_owned(),
             n => format!("{n} lights were found."),
         };
-        let (weight, title, more) = match Verdict::of(&solution.diagnostics) {
+        let (weight, title, more) = match Verdict::of(solution) {
             Verdict::Good | Verdict::Noted => (Weight::Done, "Estimated", ""),
             Verdict::Doubtful => (
                 Weight::Note,
                 "Estimated, with doubts",
                 " The result card says what to do.",
+            ),
+            Verdict::Approximate => (
+                Weight::Note,
+                "Estimated from the shading",
+                " The result card says what that means.",
             ),
             Verdict::Failed => (
                 Weight::Note,
@@ -537,7 +542,7 @@ impl App {
     fn show_document(&mut self, document: Document) {
         self.projects.reset();
         self.settings.export.forget_name();
-        if Verdict::of(&document.solution().diagnostics).asks_for_a_look() {
+        if Verdict::of(document.solution()).asks_for_a_look() {
             self.settings.result = true;
         }
         let capture = self.capture.as_ref().map(|page| Arc::clone(page.capture()));

@@ -4,7 +4,6 @@ use eframe::egui::{self, RichText, ScrollArea, vec2};
 
 use super::theme::{self, Mark};
 use super::{Request, Shared};
-use rekindle_estimate::estimate::Diagnostics;
 use rekindle_estimate::registration::{Correction, describe};
 use rekindle_solution::Solution;
 
@@ -22,15 +21,18 @@ pub enum Verdict {
     Noted,
     /// Something contradicts the result.
     Doubtful,
-    /// No highlights were found.
+    /// The light is what the shading tells: the object can be relit, less exactly than by its highlights.
+    Approximate,
+    /// No light was found: the object can't be relit.
     Failed,
 }
 
 impl Verdict {
-    /// The verdict that diagnostics come to.
-    pub fn of(diagnostics: &Diagnostics) -> Self {
-        match diagnostics {
-            d if !d.specular_found => Self::Failed,
+    /// The verdict that a solution comes to.
+    pub fn of(solution: &Solution) -> Self {
+        match &solution.diagnostics {
+            d if !d.specular_found && solution.lamps.is_empty() => Self::Failed,
+            d if !d.specular_found => Self::Approximate,
             d if !d.well_posed => Self::Doubtful,
             d if !d.warnings.is_empty() => Self::Noted,
             _ => Self::Good,
@@ -39,7 +41,7 @@ impl Verdict {
 
     /// Whether a user has to look at it before going on.
     pub fn asks_for_a_look(self) -> bool {
-        matches!(self, Self::Doubtful | Self::Failed)
+        matches!(self, Self::Doubtful | Self::Approximate | Self::Failed)
     }
 
     /// Its name, its mark and what it means.
@@ -60,10 +62,18 @@ impl Verdict {
                 Mark::Warning,
                 "Something contradicts roughness and lights; see below what, and what to do.",
             ),
+            Self::Approximate => (
+                "Approximate",
+                Mark::Warning,
+                "No highlights were found, so the light is what the shading tells. The object can be relit: sides and colours come \
+                 out right, sharp shadows and the light's strength are a guess. For more, photograph something glossy with it, and \
+                 have that in the mesh.",
+            ),
             Self::Failed => (
                 "Failed",
                 Mark::Error,
-                "No highlights were found. The object has its colours, and what light its shading tells of; lights can be added.",
+                "Neither highlights nor shading tell of the light: the object has its colours as photographed, with their light in \
+                 them. Photograph it in light from one side, or with something glossy that the mesh shows, too.",
             ),
         }
     }
@@ -74,7 +84,7 @@ pub(super) fn button(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared
     if shared.settings.result {
         return;
     }
-    let (name, mark, meaning) = Verdict::of(&solution.diagnostics).words();
+    let (name, mark, meaning) = Verdict::of(solution).words();
     let text = RichText::new(format!("Result: {name}")).color(mark.colour(ui));
     let tip = format!("{meaning} Shows the result card");
     if ui.button(text).on_hover_text(tip).clicked() {
@@ -105,7 +115,7 @@ pub(super) fn panel(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<
 }
 
 fn head_ui(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<'_>) {
-    let (name, mark, meaning) = Verdict::of(&solution.diagnostics).words();
+    let (name, mark, meaning) = Verdict::of(solution).words();
     ui.horizontal(|ui| {
         mark.show(ui);
         ui.label(RichText::new(name).strong().color(mark.colour(ui)));
@@ -130,7 +140,7 @@ fn doubts_ui(ui: &mut egui::Ui, solution: &Solution) {
     if told.is_empty() {
         return;
     }
-    let mark = if Verdict::of(diagnostics).asks_for_a_look() {
+    let mark = if Verdict::of(solution).asks_for_a_look() {
         Mark::Warning
     } else {
         Mark::Note
@@ -291,20 +301,28 @@ fn view_ui(ui: &mut egui::Ui, i: usize, db: f32) -> egui::Response {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rekindle_estimate::estimate::Diagnostics;
+    use rekindle_studio::fixtures::solution;
+    use std::sync::Arc;
 
     #[test]
     fn verdicts_follow_from_what_the_data_say() {
-        let mut found = Diagnostics {
+        let mut found = Arc::into_inner(solution()).expect("a solution of its own");
+        found.diagnostics = Diagnostics {
             well_posed: true,
             specular_found: true,
             warnings: Vec::new(),
         };
         assert_eq!(Verdict::of(&found), Verdict::Good);
-        found.warnings.push("The surface is a metal's.".to_owned());
+        let metal = "The surface is a metal's.".to_owned();
+        found.diagnostics.warnings.push(metal);
         assert_eq!(Verdict::of(&found), Verdict::Noted);
-        found.well_posed = false;
+        found.diagnostics.well_posed = false;
         assert_eq!(Verdict::of(&found), Verdict::Doubtful);
-        found.specular_found = false;
+        // Without highlights it can be relit as long as the shading told of light.
+        found.diagnostics.specular_found = false;
+        assert_eq!(Verdict::of(&found), Verdict::Approximate);
+        found.lamps.clear();
         assert_eq!(Verdict::of(&found), Verdict::Failed);
     }
 

@@ -508,12 +508,28 @@ fn the_result_card_says_what_a_solve_is_worth_and_what_to_do() {
     assert!(has_part(&window, "Check its camera."));
     drop(window);
 
-    // Without lamps it failed, and says so.
+    // Lit by its shading it can be relit: approximate, with what to do for more.
     solution.diagnostics.specular_found = false;
+    solution.brdf = None;
+    let matte = folder.path().join("matte");
+    solution.save(&matte).expect("saved");
+    let window = self::window(&matte);
+    assert!(has_part(&window, "Approximate") && !has_part(&window, "Failed"));
+    assert!(has_part(&window, "the light is what the shading tells"));
+    assert!(has_part(&window, "photograph something glossy with it"));
+    assert!(has_part(&window, "Light 1 on the hemisphere"));
+    drop(window);
+
+    // Without light it failed, and says so.
+    solution.lamps.clear();
+    solution.radiance.fill([0.0; 3]);
     let failed = folder.path().join("failed");
     solution.save(&failed).expect("saved");
     let window = self::window(&failed);
-    assert!(has_part(&window, "No highlights were found."));
+    assert!(has_part(
+        &window,
+        "Neither highlights nor shading tell of the light"
+    ));
     assert!(has_part(&window, "Failed"));
 }
 
