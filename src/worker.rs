@@ -151,7 +151,12 @@ pub enum Event {
         path: Option<PathBuf>,
     },
     /// There is no file dialog on this machine.
-    NoDialog(Purpose),
+    NoDialog {
+        /// What the dialog was for.
+        purpose: Purpose,
+        /// The folder that it would have begun in.
+        start: Option<PathBuf>,
+    },
 }
 
 /// What a file dialog is for.
@@ -171,6 +176,8 @@ pub enum Purpose {
     Photographs,
     /// Save a mesh that was aligned as.
     SaveMesh,
+    /// Save the curves of an estimation as.
+    SaveCurves,
 }
 
 /// A try of a roughness on the coarsest cells.
@@ -508,11 +515,15 @@ impl Worker {
     pub fn pick(&self, purpose: Purpose, start: Option<&Path>) {
         let (events, wake) = (self.dialogs.clone(), Arc::clone(&self.wake));
         let start = start.map(Path::to_owned);
+        let none = Event::NoDialog {
+            purpose,
+            start: start.clone(),
+        };
         let dialog = Builder::new().name("dialog".to_owned()).spawn(move || {
             let since = Instant::now();
             let path = ask(purpose, start.as_deref());
             let event = if path.is_none() && since.elapsed() < NO_DIALOG {
-                Event::NoDialog(purpose)
+                Event::NoDialog { purpose, start }
             } else {
                 Event::Picked { purpose, path }
             };
@@ -520,7 +531,7 @@ impl Worker {
                 wake();
             }
         });
-        if dialog.is_err() && self.dialogs.try_send((0, Event::NoDialog(purpose))).is_ok() {
+        if dialog.is_err() && self.dialogs.try_send((0, none)).is_ok() {
             (self.wake)();
         }
     }
@@ -572,6 +583,11 @@ fn ask(purpose: Purpose, start: Option<&Path>) -> Option<PathBuf> {
         Purpose::SaveMesh => dialog
             .set_title("Save the mesh")
             .set_file_name("mesh.obj")
+            .save_file(),
+        Purpose::SaveCurves => dialog
+            .set_title("Save the curves")
+            .add_filter("Numbers or a picture", &["csv", "svg"])
+            .set_file_name("curves.csv")
             .save_file(),
         Purpose::LightProbe => dialog
             .set_title("Open a light probe")

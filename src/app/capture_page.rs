@@ -453,16 +453,30 @@ fn mark(severity: Severity) -> Mark {
     }
 }
 
+/// What a method is called.
+pub(super) fn method_name(method: Method) -> &'static str {
+    match method {
+        Method::Fast => "Fast",
+        Method::Amuh => "AMUH (paper)",
+        Method::Amhu => "AMHU (paper)",
+        Method::Plain => "Least squares (paper)",
+    }
+}
+
+/// What a choice of the lobe is called.
+pub(super) fn specular_name(model: Option<SpecularModel>) -> &'static str {
+    match model {
+        None => "Whichever fits",
+        Some(SpecularModel::Paper) => "Paper's (eq. 4)",
+        Some(model) => model.name(),
+    }
+}
+
 /// How to estimate.
 pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
     Grid::new("estimation").num_columns(2).show(ui, |ui| {
         let label = ui.label("Method");
-        let name = |method| match method {
-            Method::Fast => "Fast",
-            Method::Amuh => "AMUH (paper)",
-            Method::Amhu => "AMHU (paper)",
-            Method::Plain => "Least squares (paper)",
-        };
+        let name = method_name;
         egui::ComboBox::from_id_salt("method")
             .selected_text(name(settings.method))
             .show_ui(ui, |ui| {
@@ -480,11 +494,7 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
             .on_hover_text("How roughness and lights are estimated");
         ui.end_row();
         let label = ui.label("Specular model");
-        let name = |model| match model {
-            None => "Whichever fits",
-            Some(SpecularModel::Paper) => "Paper's (eq. 4)",
-            Some(model) => model.name(),
-        };
+        let name = specular_name;
         egui::ComboBox::from_id_salt("specular")
             .selected_text(name(settings.specular))
             .show_ui(ui, |ui| {

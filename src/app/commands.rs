@@ -23,6 +23,8 @@ pub enum Action {
     Undo,
     /// Do again what was undone.
     Redo,
+    /// Show the list of steps, or hide it.
+    History,
     /// Write pictures or an animation.
     Export,
     /// Write the object and its light for other programs.
@@ -47,6 +49,14 @@ pub enum Action {
     PlaceRim,
     /// Select the next lamp.
     NextLamp,
+    /// Add the next lamp to the selection.
+    AlsoNextLamp,
+    /// Select all lamps of the list.
+    SelectAllLamps,
+    /// Make a group of the selected lamps.
+    GroupLamps,
+    /// End the groups of the selected lamps.
+    UngroupLamps,
     /// Put the selected light back to how it was estimated.
     ResetLamp,
     /// Show the next look.
@@ -87,6 +97,8 @@ pub enum Action {
     ResetExposure,
     /// Show how often each brightness occurs.
     Histogram,
+    /// Draw the hemisphere around the object, or don't.
+    Dome,
     /// Dark or light theme.
     ToggleTheme,
     /// Larger text.
@@ -101,6 +113,8 @@ pub enum Action {
     Palette,
     /// All keys.
     Keys,
+    /// Version and graphics adapter.
+    About,
 }
 
 /// Where a command is found.
@@ -296,6 +310,13 @@ pub const ENTRIES: &[Entry] = &[
         Some((CTRL.plus(SHIFT), Key::Z)),
         "Do again what was undone; Ctrl+Y does the same",
     ),
+    entry(
+        Action::History,
+        "History",
+        Menu::Edit,
+        Some((CTRL, Key::H)),
+        "List every change of the light, to go back to any of them",
+    ),
     apart(entry(
         Action::AddLamp,
         "Add light",
@@ -308,42 +329,70 @@ pub const ENTRIES: &[Entry] = &[
         "Duplicate light",
         Menu::Edit,
         Some((SHIFT, Key::D)),
-        "Put a copy of the selected light beside it",
+        "Put a copy of each selected light beside it",
     ),
     entry(
         Action::DeleteLamp,
         "Delete light",
         Menu::Edit,
         Some((NONE, Key::Delete)),
-        "Remove the selected light",
+        "Remove the selected lights",
     ),
     entry(
         Action::ResetLamp,
         "Reset light",
         Menu::Edit,
         Some((SHIFT, Key::R)),
-        "Put the selected light back to how it was estimated",
+        "Put the selected lights back to how they were estimated",
     ),
     apart(entry(
         Action::MuteLamp,
         "Mute light",
         Menu::Edit,
         Some((NONE, Key::M)),
-        "Switch the selected light off or on",
+        "Switch the selected lights off or on",
     )),
     entry(
         Action::SoloLamp,
         "Solo light",
         Menu::Edit,
         Some((NONE, Key::S)),
-        "Leave only the selected light and the ambient light on, or end that",
+        "Leave only the selected lights and the ambient light on, or end that",
     ),
-    entry(
+    apart(entry(
         Action::NextLamp,
         "Select the next light",
         Menu::Edit,
         Some((NONE, Key::N)),
         "Select the light below the selected one, or the first",
+    )),
+    entry(
+        Action::AlsoNextLamp,
+        "Select the next light, too",
+        Menu::Edit,
+        Some((SHIFT, Key::N)),
+        "Add the light below the selected one to the selection; Ctrl or Shift and a click do so, too",
+    ),
+    entry(
+        Action::SelectAllLamps,
+        "Select all lights",
+        Menu::Edit,
+        Some((CTRL, Key::A)),
+        "Select all lights of the list; what is done is then done to all of them",
+    ),
+    entry(
+        Action::GroupLamps,
+        "Group lights",
+        Menu::Edit,
+        Some((CTRL, Key::G)),
+        "Make a group of the selected lights: one name, intensity, mute and solo for all",
+    ),
+    entry(
+        Action::UngroupLamps,
+        "Ungroup lights",
+        Menu::Edit,
+        Some((CTRL.plus(SHIFT), Key::G)),
+        "End the groups of the selected lights, which shine on as they do",
     ),
     apart(entry(
         Action::PlaceHighlight,
@@ -494,6 +543,13 @@ pub const ENTRIES: &[Entry] = &[
         Some((NONE, Key::I)),
         "Show how often each brightness occurs",
     ),
+    entry(
+        Action::Dome,
+        "Hemisphere around the object",
+        Menu::View,
+        Some((NONE, Key::D)),
+        "Draw the hemisphere that the lights are on around the object; they are dragged there, too",
+    ),
     apart(entry(
         Action::ToggleTheme,
         "Dark or light theme",
@@ -543,6 +599,13 @@ pub const ENTRIES: &[Entry] = &[
         Some((NONE, Key::Questionmark)),
         "Show every key and mouse gesture",
     ),
+    apart(entry(
+        Action::About,
+        "About rekindle",
+        Menu::Help,
+        None,
+        "Show version and graphics adapter",
+    )),
 ];
 
 const fn camera(index: u8, name: &'static str, key: Key) -> Entry {

@@ -1,5 +1,6 @@
 //! The page of an estimation: it is watched while it converges, and looked back at afterwards.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,15 +11,19 @@ use super::capture_page::estimation_ui;
 use super::commands::Action;
 use super::disc::{self, Disc, DiscTexture};
 use super::plots::Curves;
+use super::runs::{self, Run, State};
+use super::settings::Estimation as Settings;
 use super::viewport::{Object, Scene, Viewport};
 use super::{Request, Shared, result, theme};
-use crate::worker::{Progress, Rendered, Step, Subject};
+use crate::worker::{Latest, Progress, Purpose, Rendered, Step, Subject, Worker};
+use rekindle_base::staging::write_advice;
 use rekindle_capture::Capture;
 use rekindle_estimate::estimate::Method;
 use rekindle_relight::{LampNodes, LightNode, Lighting};
 use rekindle_scene::hemisphere::{HemisphereGrid, Picture};
 use rekindle_scene::reflectance::Brdf;
 use rekindle_solution::Solution;
+use rekindle_studio::write_whole;
 
 /// Frequency of the patches into which the lighting is divided for a quick picture.
 const PATCHES: u32 = 4;
@@ -35,15 +40,8 @@ const TITLES: [f32; 2] = [350.0, 450.0];
 const NAMES: f32 = 250.0;
 /// Below this part of the whole the time left is a guess not worth showing.
 const TELLING: f32 = 0.08;
-
-/// How far it has come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
-    Running,
-    Stopping,
-    Stopped,
-    Done,
-}
+/// Runs that are kept.
+const MOST_RUNS: usize = 8;
 
 /// Which lighting is looked at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,27 +56,37 @@ enum Look {
     Step(usize),
 }
 
+/// An iteration of a run, both by index.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Other {
+    run: usize,
+    step: usize,
+}
+
 /// A picture of an iteration's lighting, kept until another is wanted.
 #[derive(Default)]
 struct StepPicture {
-    of: Option<(usize, Arc<Picture>)>,
+    of: Option<(Other, Arc<Picture>)>,
     texture: DiscTexture,
 }
 
-/// An estimation, running or ended.
+/// What came of saving curves.
+type Saved = Result<PathBuf, String>;
+
+/// The estimations of a capture, the last of which may be running.
 pub struct Estimation {
-    job: u64,
     capture: Arc<Capture>,
-    method: Method,
-    state: State,
-    progress: Option<Arc<Progress>>,
-    solution: Option<Arc<Solution>>,
-    /// Time since the start without pauses.
-    elapsed: Duration,
+    /// At least one, once one was begun.
+    runs: Vec<Run>,
+    /// The run that is looked at, by index.
+    at: usize,
+    /// Runs that were begun.
+    begun: usize,
     viewport: Viewport,
     look: Look,
     /// An iteration to compare with.
-    other: Option<usize>,
+    other: Option<Other>,
+    saved: Arc<Latest<Saved>>,
     main: StepPicture,
     beside: StepPicture,
     partials: Vec<DiscTexture>,
@@ -86,22 +94,20 @@ pub struct Estimation {
 }
 
 impl Estimation {
-    /// An estimation that was just started as command `job`.
-    pub fn new(capture: Arc<Capture>, method: Method, job: u64) -> Self {
+    /// A page for the estimations of a capture, none of which was begun.
+    pub fn new(capture: Arc<Capture>) -> Self {
         let up = capture.light_hemisphere.up.as_vec3();
         let mut viewport = Viewport::new(Object::Capture(Arc::clone(&capture)), up, Some(&capture));
         viewport.set_white(white(&capture));
         Self {
-            job,
             capture,
-            method,
-            state: State::Running,
-            progress: None,
-            solution: None,
-            elapsed: Duration::ZERO,
+            runs: Vec::new(),
+            at: 0,
+            begun: 0,
             viewport,
             look: Look::Newest,
             other: None,
+            saved: Arc::default(),
             main: StepPicture::default(),
             beside: StepPicture::default(),
             partials: Vec::new(),
@@ -109,29 +115,102 @@ impl Estimation {
         }
     }
 
+    /// Whether its estimations are of this capture.
+    pub fn is_of(&self, capture: &Arc<Capture>) -> bool {
+        Arc::ptr_eq(&self.capture, capture)
+    }
+
+    /// An estimation was just started as command `job`. The oldest run goes where there are too many.
+    pub fn begin(&mut self, settings: Settings, job: u64) {
+        self.begun += 1;
+        self.runs.push(Run::new(self.begun, job, settings));
+        if self.runs.len() > MOST_RUNS {
+            self.runs.remove(0);
+        }
+        self.look_at(self.runs.len() - 1);
+    }
+
+    fn look_at(&mut self, run: usize) {
+        self.at = run;
+        self.look = Look::Newest;
+        self.other = None;
+        self.partials.clear();
+        (self.main, self.beside) = Default::default();
+    }
+
     /// Takes news of a command.
     pub fn update(&mut self, progress: Arc<Progress>) {
-        if progress.job == self.job {
-            self.progress = Some(progress);
+        if let Some(run) = self.runs.iter_mut().find(|run| run.job == progress.job) {
+            run.progress = Some(progress);
         }
     }
 
-    /// It was asked to stop.
+    /// The last run was asked to stop.
     pub fn stopping(&mut self) {
-        if self.state == State::Running {
-            self.state = State::Stopping;
+        if let Some(run) = self.runs.last_mut()
+            && run.state == State::Running
+        {
+            run.state = State::Stopping;
         }
     }
 
-    /// It was stopped, or failed.
+    /// The last run was stopped, or failed.
     pub fn stopped(&mut self) {
-        self.state = State::Stopped;
+        if let Some(run) = self.runs.last_mut() {
+            run.state = State::Stopped;
+        }
     }
 
-    /// It ended.
+    /// The last run ended.
     pub fn finish(&mut self, solution: Arc<Solution>) {
-        self.state = State::Done;
-        self.solution = Some(solution);
+        if let Some(run) = self.runs.last_mut() {
+            run.state = State::Done;
+            run.solution = Some(solution);
+        }
+    }
+
+    /// What the run that is looked at came to.
+    pub fn solution(&self) -> Option<&Arc<Solution>> {
+        self.run()?.solution.as_ref()
+    }
+
+    fn run(&self) -> Option<&Run> {
+        self.runs.get(self.at)
+    }
+
+    fn state(&self) -> State {
+        self.run().map_or(State::Stopped, |run| run.state)
+    }
+
+    fn progress(&self) -> Option<&Arc<Progress>> {
+        self.run()?.progress.as_ref()
+    }
+
+    /// Saves the curves of all runs beside the window's thread; the file's extension says in which form.
+    pub(super) fn save_curves(&self, worker: &mut Worker, path: PathBuf) {
+        let extension = path.extension().map(std::ffi::OsStr::to_ascii_lowercase);
+        let text = match extension.as_ref().and_then(|e| e.to_str()) {
+            Some("csv") => Ok(runs::csv(&self.runs)),
+            Some("svg") => runs::svg(&self.runs).map_err(|error| error.to_string()),
+            _ => Err("its name must end in .csv or .svg".to_owned()),
+        };
+        let slot = Arc::clone(&self.saved);
+        worker.aside("curves", move || {
+            let written = text.and_then(|text| {
+                let written = write_whole(&path, text.as_bytes());
+                written
+                    .map_err(|error| format!("can't be written: {error}; {}", write_advice(&error)))
+            });
+            slot.store(match written {
+                Ok(()) => Ok(path),
+                Err(problem) => Err(format!("{}: {problem}", path.display())),
+            });
+        });
+    }
+
+    /// What came of saving curves, once.
+    pub(super) fn take_saved(&self) -> Option<Saved> {
+        self.saved.take()
     }
 
     /// The view of the object.
@@ -150,7 +229,7 @@ impl Estimation {
     }
 
     fn steps(&self) -> &[Arc<Step>] {
-        self.progress.as_ref().map_or(&[], |p| &p.steps)
+        self.run().map_or(&[], Run::steps)
     }
 
     /// The iteration that is looked at, by index.
@@ -165,9 +244,11 @@ impl Estimation {
 
     /// Shows the page.
     pub(super) fn show(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
-        if self.state == State::Running && !shared.worker.is_paused() {
-            if let Some(progress) = &self.progress {
-                self.elapsed = progress.started.elapsed().saturating_sub(progress.paused);
+        let paused = shared.worker.is_paused();
+        let runs = self.runs.iter_mut();
+        for run in runs.filter(|run| run.state == State::Running && !paused) {
+            if let Some(progress) = &run.progress {
+                run.elapsed = progress.started.elapsed().saturating_sub(progress.paused);
             }
             // The clock goes on between the news.
             ui.ctx().request_repaint_after(Duration::from_millis(500));
@@ -175,7 +256,7 @@ impl Estimation {
         egui::Panel::top("estimation progress")
             .frame(theme::side(ui))
             .show(ui, |ui| self.progress_ui(ui, shared));
-        if let Some(solution) = self.solution.clone() {
+        if let Some(solution) = self.solution().cloned() {
             result::panel(ui, &solution, shared);
         }
         let tall = (ui.available_height() * 0.3).clamp(130.0, 240.0);
@@ -184,7 +265,7 @@ impl Estimation {
             .resizable(true)
             .default_size(tall)
             .size_range(110.0..=420.0)
-            .show(ui, |ui| self.plots_ui(ui));
+            .show(ui, |ui| self.plots_ui(ui, shared));
         let wide = (ui.available_width() * 0.5).max(380.0);
         egui::Panel::left("estimation hemispheres")
             .frame(theme::side(ui))
@@ -202,11 +283,10 @@ impl Estimation {
         let palette = theme::palette(ui);
         ui.horizontal(|ui| {
             let (stage, fraction) = self
-                .progress
-                .as_ref()
+                .progress()
                 .map_or(("starting", 0.0), |p| (p.stage.as_str(), p.fraction));
             let paused = shared.worker.is_paused();
-            let (text, fraction) = match self.state {
+            let (text, fraction) = match self.state() {
                 State::Running if paused => (format!("Paused while {stage}"), fraction),
                 State::Running => (sentence(stage), fraction),
                 State::Stopping => ("Stopping".to_owned(), fraction),
@@ -220,7 +300,7 @@ impl Estimation {
                     ui.label(RichText::new(text).strong());
                     ui.weak(self.time(fraction));
                 });
-                let fill = if self.state == State::Stopped {
+                let fill = if self.state() == State::Stopped {
                     palette.weak
                 } else {
                     palette.accent
@@ -238,68 +318,60 @@ impl Estimation {
     }
 
     fn buttons_ui(&self, ui: &mut egui::Ui, shared: &mut Shared<'_>, paused: bool) {
-        let mut give = |action| shared.actions.push(Request::Action(action));
-        if matches!(self.state, State::Running | State::Stopping) {
-            ui.add_enabled_ui(self.state == State::Running, |ui| {
+        if matches!(self.state(), State::Running | State::Stopping) {
+            ui.add_enabled_ui(self.state() == State::Running, |ui| {
                 let stop = ui.button("Stop");
                 if stop.on_hover_text("Stop and keep nothing").clicked() {
-                    give(Action::Stop);
+                    give(shared, Action::Stop);
                 }
                 let keep = ui.button("Stop and keep best");
                 let tip =
                     "End the estimation with what it has reached and relight with that (Ctrl+. or Esc)";
                 if keep.on_hover_text(tip).clicked() {
-                    give(Action::KeepBest);
+                    give(shared, Action::KeepBest);
                 }
                 let pause = ui.button(if paused { "Resume" } else { "Pause" });
                 if pause.on_hover_text("Pause, or go on (Space)").clicked() {
-                    give(Action::Pause);
+                    give(shared, Action::Pause);
                 }
             });
             return;
         }
-        if self.state == State::Done {
+        if self.state() == State::Done {
             let relight = ui.add(theme::main_button(ui, "Relight"));
-            if relight
-                .on_hover_text("To the object and its lights (F3)")
-                .clicked()
-            {
-                give(Action::ShowRelighting);
+            let tip = "To the object and its lights, as this run found them (F3)";
+            if relight.on_hover_text(tip).clicked() {
+                shared.actions.push(Request::RelightRun);
             }
         }
         let again = ui.add_enabled(!shared.busy, Button::new("Estimate again"));
         let tip = "Estimate again with these settings; photographs and mesh are not read again (Ctrl+Enter)";
         if again.on_hover_text(tip).clicked() {
-            give(Action::Solve);
+            give(shared, Action::Solve);
         }
         ui.menu_button("Settings", |ui| {
             estimation_ui(ui, &mut shared.settings.estimation);
         })
         .response
         .on_hover_text("How to estimate the next time");
-        if let Some(solution) = &self.solution {
+        if let Some(solution) = self.solution() {
             result::button(ui, solution, shared);
         }
     }
 
     /// Elapsed time, and what is left if it can be told.
     fn time(&self, fraction: f32) -> String {
-        let Some(progress) = &self.progress else {
+        let (Some(run), Some(progress)) = (self.run(), self.progress()) else {
             return String::new();
         };
-        if self.state == State::Done {
-            let seconds: f64 = self
-                .solution
-                .iter()
-                .flat_map(|s| s.timings.iter().filter(|(stage, _)| stage != "load"))
-                .map(|(_, s)| s)
-                .sum();
+        if run.state == State::Done {
+            let seconds = run.seconds().unwrap_or_default();
             return format!("{seconds:.1} s, {} iterations", progress.steps.len());
         }
-        if self.state == State::Stopped {
+        if run.state == State::Stopped {
             return format!("after {} iterations", progress.steps.len());
         }
-        let elapsed = self.elapsed.as_secs_f32();
+        let elapsed = run.elapsed.as_secs_f32();
         if fraction < TELLING {
             return format!("{elapsed:.0} s");
         }
@@ -307,14 +379,35 @@ impl Estimation {
         format!("{elapsed:.0} s, about {:.0} s left", left.ceil())
     }
 
-    fn plots_ui(&mut self, ui: &mut egui::Ui) {
+    fn plots_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
+        let mut at = self.at;
+        ui.horizontal(|ui| {
+            if runs::button(ui, &mut self.runs, &mut at) {
+                self.look_at(at);
+            }
+            let any = self.runs.iter().any(|run| !run.steps().is_empty());
+            let save = ui.add_enabled(any, Button::new("Save curves…"));
+            let tip = "Write the curves of all runs: numbers as .csv, a picture as .svg";
+            if save.on_hover_text(tip).clicked() {
+                let start = shared
+                    .settings
+                    .recent
+                    .first()
+                    .and_then(|path| path.parent());
+                shared.worker.pick(Purpose::SaveCurves, start);
+            }
+        });
+        let other = self.other.filter(|other| other.run == self.at);
         let curves = Curves {
             steps: self.steps(),
-            tried: self.progress.as_ref().map_or(&[][..], |p| &p.tried),
-            method: self.method,
+            tried: self.progress().map_or(&[][..], |p| &p.tried),
+            method: self
+                .run()
+                .map_or_else(Method::default, |run| run.settings.method),
             shown: self.shown(),
-            other: self.other,
-            interval: self.solution.as_ref().and_then(|s| s.sigma_interval95),
+            other: other.map(|other| other.step),
+            interval: self.solution().and_then(|s| s.sigma_interval95),
+            overlays: runs::overlays(ui, &self.runs, self.at),
         };
         if let Some(clicked) = curves.show(ui) {
             self.look = Look::Step(clicked);
@@ -360,13 +453,17 @@ impl Estimation {
                 disc::direction_tip(response, &disc);
                 caption(ui, cell, name);
             });
-            if let Some(k) = self.other {
+            if let Some(other) = self.other {
                 ui.allocate_ui_with_layout(size, column, |ui| {
-                    let name = self.step_name(k);
+                    let run = &self.runs[other.run];
+                    let mut name = step_name(run, other.step);
+                    if other.run != self.at {
+                        name = format!("{}: {name}", run.name());
+                    }
                     let texture = step_texture(
                         &mut self.beside,
-                        self.progress.as_deref(),
-                        k,
+                        run.progress.as_deref(),
+                        other,
                         ui.ctx(),
                         exposure,
                     );
@@ -389,7 +486,7 @@ impl Estimation {
     /// Rings around the lamps that were found.
     fn lamps_ui(&self, ui: &egui::Ui, disc: &Disc) {
         let palette = theme::palette(ui);
-        let Some(solution) = &self.solution else {
+        let Some(solution) = self.solution() else {
             return;
         };
         for lamp in &solution.lamps {
@@ -413,24 +510,13 @@ impl Estimation {
         self.capture.light_hemisphere.up.as_vec3()
     }
 
-    fn step_name(&self, k: usize) -> String {
-        self.steps().get(k).map_or_else(String::new, |step| {
-            format!(
-                "Iteration {}, σ {:.4}, {} lit nodes",
-                step.iteration.iteration,
-                step.iteration.sigma,
-                step.lit.len()
-            )
-        })
-    }
-
     fn main_name(&self) -> String {
-        let progress = self.progress.as_deref();
+        let progress = self.progress();
         match self.look {
             Look::Partial(i) => format!("Partial hemisphere of view {}", i + 1),
             Look::Initial => "Initial hemisphere".to_owned(),
             Look::Newest | Look::Step(_) => match (self.shown(), progress) {
-                (Some(k), _) => self.step_name(k),
+                (Some(k), _) => self.run().map_or_else(String::new, |run| step_name(run, k)),
                 (None, Some(p)) if p.initial.is_some() => "Initial hemisphere".to_owned(),
                 (None, Some(p)) if !p.partials.is_empty() => {
                     format!("Partial hemisphere of view {}", p.partials.len())
@@ -445,7 +531,8 @@ impl Estimation {
         ctx: &egui::Context,
         exposure: super::settings::HemisphereExposure,
     ) -> Option<egui::TextureId> {
-        let progress = self.progress.clone()?;
+        let progress = self.progress().cloned()?;
+        let run = self.at;
         let partial = |this: &mut Self, i: usize| {
             let picture = progress.partials.get(i)?;
             if this.partials.len() <= i {
@@ -459,7 +546,10 @@ impl Estimation {
                 let picture = progress.initial.as_ref()?;
                 Some(self.initial.of(ctx, picture, exposure))
             }
-            (_, Some(k)) => step_texture(&mut self.main, Some(&progress), k, ctx, exposure),
+            (_, Some(step)) => {
+                let shown = Other { run, step };
+                step_texture(&mut self.main, Some(&progress), shown, ctx, exposure)
+            }
             (_, None) => match &progress.initial {
                 Some(picture) => Some(self.initial.of(ctx, picture, exposure)),
                 None => partial(self, progress.partials.len().checked_sub(1)?),
@@ -492,14 +582,14 @@ impl Estimation {
                 ui.checkbox(&mut compare, "Compare with")
                     .on_hover_text("Show another iteration beside it");
                 if compare != self.other.is_some() {
-                    self.other = compare.then_some(0);
+                    let first = Other {
+                        run: self.at,
+                        step: 0,
+                    };
+                    self.other = compare.then_some(first);
                 }
                 if let Some(other) = &mut self.other {
-                    let mut k = (*other).min(last) + 1;
-                    ui.add(Slider::new(&mut k, 1..=last + 1))
-                        .on_hover_text("The iteration to compare with")
-                        .accessible_name("Compared iteration");
-                    *other = k - 1;
+                    other_ui(ui, &self.runs, other);
                 }
             });
         });
@@ -512,7 +602,7 @@ impl Estimation {
         exposure: super::settings::HemisphereExposure,
         height: f32,
     ) {
-        let Some(progress) = self.progress.clone() else {
+        let Some(progress) = self.progress().cloned() else {
             return;
         };
         let side = height - 26.0;
@@ -563,9 +653,10 @@ impl Estimation {
 
     /// The object under the lighting that is looked at.
     fn object_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
-        let progress = self.progress.clone();
+        let progress = self.progress().cloned();
         let shown = self.shown();
-        let version = shown.map_or(0, |k| k as u64 + 1);
+        // Another for every iteration of every run.
+        let version = ((self.at as u64) << 32) + shown.map_or(0, |k| k as u64 + 1);
         let capture = &self.capture;
         let subject = || {
             let progress = progress?;
@@ -593,6 +684,10 @@ impl Estimation {
     }
 }
 
+fn give(shared: &mut Shared<'_>, action: Action) {
+    shared.actions.push(Request::Action(action));
+}
+
 /// A disc's name in the middle below it.
 fn caption(ui: &mut egui::Ui, side: f32, name: String) {
     let size = egui::vec2(side, 16.0);
@@ -602,23 +697,58 @@ fn caption(ui: &mut egui::Ui, side: f32, name: String) {
     );
 }
 
+fn step_name(run: &Run, step: usize) -> String {
+    run.steps().get(step).map_or_else(String::new, |step| {
+        format!(
+            "Iteration {}, σ {:.4}, {} lit nodes",
+            step.iteration.iteration,
+            step.iteration.sigma,
+            step.lit.len()
+        )
+    })
+}
+
+/// Chooses the iteration, of any run, to compare with.
+fn other_ui(ui: &mut egui::Ui, runs: &[Run], other: &mut Other) {
+    if runs.len() > 1 {
+        let name = runs[other.run].name();
+        let chosen = egui::ComboBox::from_id_salt("compared run")
+            .width(70.0)
+            .selected_text(name)
+            .show_ui(ui, |ui| {
+                for (i, run) in runs.iter().enumerate() {
+                    ui.selectable_value(&mut other.run, i, run.name());
+                }
+            });
+        let chosen = chosen.response.accessible_name("Compared run");
+        chosen.on_hover_text("The run to compare with");
+        ui.spacing_mut().slider_width = (ui.spacing().slider_width - 90.0).max(60.0);
+    }
+    let last = runs[other.run].steps().len().saturating_sub(1);
+    let mut k = other.step.min(last) + 1;
+    ui.add(Slider::new(&mut k, 1..=last + 1))
+        .on_hover_text("The iteration to compare with")
+        .accessible_name("Compared iteration");
+    other.step = k - 1;
+}
+
 /// The texture of an iteration's lighting.
 fn step_texture(
     kept: &mut StepPicture,
     progress: Option<&Progress>,
-    k: usize,
+    shown: Other,
     ctx: &egui::Context,
     exposure: super::settings::HemisphereExposure,
 ) -> Option<egui::TextureId> {
     let progress = progress?;
-    let step = progress.steps.get(k)?;
+    let step = progress.steps.get(shown.step)?;
     let (grid, from_above) = (progress.grid.as_ref()?, progress.from_above.as_ref()?);
     let picture = match &kept.of {
-        Some((shown, picture)) if *shown == k => Arc::clone(picture),
+        Some((of, picture)) if *of == shown => Arc::clone(picture),
         _ => {
             let radiance = step.nodes(grid.directions.len());
             let picture = Arc::new(from_above.picture(&radiance));
-            kept.of = Some((k, Arc::clone(&picture)));
+            kept.of = Some((shown, Arc::clone(&picture)));
             picture
         }
     };

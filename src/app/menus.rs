@@ -1,12 +1,12 @@
 //! The bar at the top: menus, the pages, and what is running.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use eframe::egui::{self, Button, RichText};
 
 use super::commands::{Action, ENTRIES, Menu};
+use super::exports::Progress;
 use super::navigation::Habit;
-use super::relight::duration_in_words;
 use super::{App, Doing, Page, Request, Source, theme};
 
 /// Shows the bar; returns what was asked for.
@@ -145,8 +145,20 @@ fn running_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
         Doing::Solving if app.worker.is_paused() => "Paused".to_owned(),
         Doing::Solving => "Estimating".to_owned(),
         Doing::Exporting {
-            said, part, since, ..
-        } => exporting_ui(ui, said, *part, *since),
+            export,
+            said,
+            part,
+            since,
+        } => {
+            let progress = Progress {
+                export,
+                said,
+                part: *part,
+                since: *since,
+            };
+            exporting_ui(ui, app, &progress, requests);
+            return;
+        }
     };
     // These pages have a button of their own.
     let own = match app.page {
@@ -163,22 +175,26 @@ fn running_ui(ui: &mut egui::Ui, app: &App, requests: &mut Vec<Request>) {
     ui.label(RichText::new(text).color(theme::palette(ui).accent));
 }
 
-/// How far an export is, as a bar; with it what is said beside.
-fn exporting_ui(ui: &mut egui::Ui, said: &str, part: f32, since: Instant) -> String {
-    /// Below this part of the whole the time left is a guess not worth showing.
-    const TELLING: f32 = 0.05;
-    let bar = egui::ProgressBar::new(part)
-        .desired_width(110.0)
-        .desired_height(8.0)
-        .fill(theme::palette(ui).accent);
-    ui.add(bar).accessible_name("Progress of the export");
+/// How far an export is, and what waits for it.
+fn exporting_ui(
+    ui: &mut egui::Ui,
+    app: &App,
+    progress: &Progress<'_>,
+    requests: &mut Vec<Request>,
+) {
     // The time goes on between the news.
     ui.ctx().request_repaint_after(Duration::from_millis(500));
-    let percent = (100.0 * part).floor();
-    if part < TELLING {
-        return format!("{said}, {percent} %");
+    let tip = if app.exports.waiting() == 0 {
+        "Stop the export; finished frames are kept"
+    } else {
+        "Stop this export, which keeps its finished frames, and go on with the next"
+    };
+    if ui.button("Stop").on_hover_text(tip).clicked() {
+        requests.push(Request::Action(Action::Stop));
     }
-    let seconds = since.elapsed().as_secs_f64();
-    let left = duration_in_words(seconds * f64::from((1.0 - part) / part));
-    format!("{said}, {percent} %, about {left} left")
+    let pace = app.settings.export.seconds_per_megapixel;
+    requests.extend(app.exports.button(ui, progress, pace));
+    progress.bar_ui(ui);
+    let text = RichText::new(progress.in_words()).color(theme::palette(ui).accent);
+    ui.add(egui::Label::new(text).truncate());
 }

@@ -5,10 +5,12 @@
 //! hemisphere seen from above, `notices` the messages. A mesh that lies elsewhere is brought to its place on the capture's
 //! page: `placing` offers it, and `points` are set where silhouettes alone don't tell.
 
+mod about;
 mod capture_page;
 mod commands;
 mod disc;
 mod estimation;
+mod exports;
 mod exposures;
 mod history;
 mod menus;
@@ -22,6 +24,7 @@ mod points;
 mod projects;
 mod relight;
 mod result;
+mod runs;
 mod settings;
 mod theme;
 mod viewport;
@@ -39,6 +42,7 @@ use crate::worker::{Command, Event, OpenedCapture, Purpose, Source, Worker};
 use capture_page::CapturePage;
 use commands::Action;
 use estimation::Estimation;
+use exports::Exports;
 use navigation::Habit;
 use notices::{Notices, Weight};
 use open_path::OpenPath;
@@ -113,6 +117,8 @@ struct Shared<'a> {
     actions: &'a mut Vec<Request>,
     /// The window's graphics card, if there is one.
     gpu: Option<&'a RenderState>,
+    /// What is exported and what waits for it.
+    exports: &'a Exports,
     /// Whether the worker has something to do.
     busy: bool,
     /// Which part of an alignment is done, while one is made.
@@ -129,6 +135,12 @@ enum Request {
     Discard(usize),
     /// Export as the question about it says.
     Export(Others),
+    /// Relight with the run that is looked at.
+    RelightRun,
+    /// Take an export that waits out of the line.
+    RemoveExport(usize),
+    /// Stop the export that is made, and take all that wait out of the line.
+    StopExports,
     /// Show where a view's photograph and its rendering differ.
     ShowDifference(usize),
     /// Align the mesh, beginning with these points; without any from nothing.
@@ -144,6 +156,7 @@ pub struct App {
     page: Page,
     welcome: Option<egui::TextureHandle>,
     job: Option<Job>,
+    exports: Exports,
     capture: Option<CapturePage>,
     estimation: Option<Estimation>,
     relighting: Option<Relighting>,
@@ -156,6 +169,7 @@ pub struct App {
     title: String,
     palette: Option<CommandPalette>,
     keys: bool,
+    about: bool,
     open_path: Option<OpenPath>,
 }
 
@@ -180,6 +194,7 @@ impl App {
             page: Page::Welcome,
             welcome: welcome::picture(&cc.egui_ctx),
             job: None,
+            exports: Exports::default(),
             capture: None,
             estimation: None,
             relighting: None,
@@ -189,6 +204,7 @@ impl App {
             title: String::new(),
             palette: None,
             keys: false,
+            about: false,
             open_path: None,
         };
         if let Some(source) = start.open {
@@ -200,6 +216,11 @@ impl App {
     fn is_solving(&self) -> bool {
         let doing = self.job.as_ref().map(|job| &job.doing);
         matches!(doing, Some(Doing::Solving))
+    }
+
+    fn is_exporting(&self) -> bool {
+        let doing = self.job.as_ref().map(|job| &job.doing);
+        matches!(doing, Some(Doing::Exporting { .. }))
     }
 
     /// Whether the mesh was put elsewhere and its place not saved.
@@ -267,8 +288,11 @@ impl App {
         };
         if self.start(command, Doing::Solving) {
             let number = self.job.as_ref().map_or(0, |job| job.number);
-            let method = self.settings.estimation.method;
-            self.estimation = Some(Estimation::new(capture, method, number));
+            let known = self.estimation.take();
+            let known = known.filter(|estimation| estimation.is_of(&capture));
+            let mut estimation = known.unwrap_or_else(|| Estimation::new(capture));
+            estimation.begin(self.settings.estimation, number);
+            self.estimation = Some(estimation);
             self.page = Page::Estimation;
         }
     }
@@ -321,6 +345,7 @@ impl App {
                 None
             };
             self.hear(ctx, event, doing.as_ref());
+            self.export_next();
         }
         let rendered = self.worker.rendered();
         if let Some(rendered) = rendered {
@@ -375,9 +400,7 @@ impl App {
                     estimation.finish(Arc::clone(&solution));
                 }
                 self.say_what_was_found(&solution);
-                let mut document = Document::new(solution, None);
-                document.capture = self.capture.as_ref().and_then(CapturePage::path);
-                self.show_document(document);
+                self.show_estimated(solution);
             }
             Event::Done { what } => match doing {
                 Some(Doing::Exporting { export, since, .. }) => self.exported(export, *since),
@@ -417,7 +440,9 @@ impl App {
                     self.picked(purpose, path);
                 }
             }
-            Event::NoDialog(purpose) => self.open_path = Some(OpenPath::new(purpose)),
+            Event::NoDialog { purpose, start } => {
+                self.open_path = Some(OpenPath::new(purpose, start));
+            }
         }
     }
 
@@ -428,6 +453,11 @@ impl App {
             Purpose::SaveProject => {
                 let then = self.save_then.take();
                 self.save_to(&path, then);
+            }
+            Purpose::SaveCurves => {
+                if let Some(estimation) = &self.estimation {
+                    estimation.save_curves(&mut self.worker, path);
+                }
             }
             Purpose::ExportFolder => self.settings.export.folder = Some(path),
             Purpose::Photographs => {
@@ -455,9 +485,20 @@ impl App {
     }
 
     fn export(&mut self, others: Others) {
-        let relighting = self.relighting.as_ref().filter(|_| self.job.is_none());
-        let asked = relighting.and_then(|r| r.export(&self.settings.export, others));
+        let relighting = self.relighting.as_ref();
+        let asked = relighting.and_then(|r| r.export(&self.settings.export, others, &self.exports));
         if let Some((command, export)) = asked {
+            self.exports.add(command, export);
+            self.export_next();
+        }
+    }
+
+    /// Begins with the next export of the line, once nothing else is done.
+    fn export_next(&mut self) {
+        if self.job.is_some() {
+            return;
+        }
+        if let Some((command, export)) = self.exports.next() {
             let doing = Doing::Exporting {
                 export,
                 said: "Exporting".to_owned(),
@@ -539,6 +580,29 @@ impl App {
         }
     }
 
+    /// Shows what an estimation of the open capture came to, as it was estimated.
+    fn show_estimated(&mut self, solution: Arc<Solution>) {
+        let mut document = Document::new(solution, None);
+        document.capture = self.capture.as_ref().and_then(CapturePage::path);
+        self.show_document(document);
+    }
+
+    /// Goes to the object as the run found it that is looked at; asks before edits are lost.
+    fn relight_run(&mut self, asks: bool) {
+        let run = self.estimation.as_ref().and_then(Estimation::solution);
+        let Some(run) = run.map(Arc::clone) else {
+            return;
+        };
+        let shown = self.relighting.as_ref().map(Relighting::document);
+        if shown.is_some_and(|shown| Arc::ptr_eq(shown.solution(), &run)) {
+            self.page = Page::Relighting;
+        } else if asks && self.has_edits() {
+            self.projects.ask(Then::RelightRun);
+        } else {
+            self.show_estimated(run);
+        }
+    }
+
     fn show_document(&mut self, document: Document) {
         self.projects.reset();
         self.settings.export.forget_name();
@@ -587,6 +651,7 @@ impl App {
             Action::Brighter | Action::Darker | Action::Histogram | Action::ResetExposure => {
                 unless(self.viewport().is_some(), NO_OBJECT)
             }
+            Action::Dome => unless(self.document().is_some(), ON_RELIGHTING),
             Action::LocatePhotographs => unless(
                 self.relighting
                     .as_ref()
@@ -594,7 +659,9 @@ impl App {
                 "No photographs are missing.",
             ),
             Action::Export | Action::ExportObject | Action::ExportWeb => {
-                unless(self.document().is_some(), ON_RELIGHTING).or_else(|| self.running())
+                let waits = self.is_exporting();
+                let busy = || self.running().filter(|_| !waits);
+                unless(self.document().is_some(), ON_RELIGHTING).or_else(busy)
             }
             Action::AddLamp
             | Action::DuplicateLamp
@@ -605,8 +672,13 @@ impl App {
             | Action::PlaceBrightest
             | Action::PlaceRim
             | Action::NextLamp
+            | Action::AlsoNextLamp
+            | Action::SelectAllLamps
+            | Action::GroupLamps
+            | Action::UngroupLamps
             | Action::ResetLamp
             | Action::NextLook
+            | Action::History
             | Action::CompareCaptured => {
                 let relighting = self.relighting.as_ref();
                 let here = relighting.filter(|_| self.page == Page::Relighting);
@@ -748,8 +820,13 @@ impl App {
             | Action::PlaceBrightest
             | Action::PlaceRim
             | Action::NextLamp
+            | Action::AlsoNextLamp
+            | Action::SelectAllLamps
+            | Action::GroupLamps
+            | Action::UngroupLamps
             | Action::ResetLamp
             | Action::NextLook
+            | Action::History
             | Action::CompareCaptured => {
                 if let Some(relighting) = &mut self.relighting {
                     relighting.act(action);
@@ -757,6 +834,8 @@ impl App {
             }
             Action::Palette => self.palette = Some(CommandPalette::new()),
             Action::Keys => self.keys = !self.keys,
+            Action::About => self.about = true,
+            Action::Dome => self.settings.dome = !self.settings.dome,
             Action::Frame
             | Action::ResetView
             | Action::Camera(_)
@@ -853,6 +932,14 @@ impl App {
                 (Err(text), _) => self.notices.add(Weight::Error, "Saving failed", text),
             }
         }
+        match self.estimation.as_ref().and_then(Estimation::take_saved) {
+            Some(Ok(path)) => {
+                let text = path.display().to_string();
+                self.notices.add(Weight::Done, "Saved", text);
+            }
+            Some(Err(text)) => self.notices.add(Weight::Error, "Saving failed", text),
+            None => {}
+        }
         match self.capture.as_mut().and_then(CapturePage::take_saved) {
             Some(Ok((path, then))) => {
                 let text = path.display().to_string();
@@ -897,6 +984,7 @@ impl App {
             }
             Then::Open(source) => self.open(source),
             Then::Solve => self.solve(),
+            Then::RelightRun => self.relight_run(false),
         }
     }
 
@@ -938,7 +1026,8 @@ impl App {
                 if plain && (typing || any_popup || self.keys) && action != Action::Keys {
                     continue;
                 }
-                if plain && typing {
+                // Ctrl+A is a key of text fields.
+                if (plain || keys.logical_key == egui::Key::A) && typing {
                     continue;
                 }
                 if self.enabled(action) && input.consume_shortcut(&keys) {
@@ -971,6 +1060,7 @@ impl App {
             settings: &mut self.settings,
             actions: &mut actions,
             gpu: self.gpu.as_ref(),
+            exports: &self.exports,
             busy: self.job.is_some(),
             aligning: self.job.as_ref().and_then(|job| match job.doing {
                 Doing::Aligning(part) => Some(part),
@@ -1027,6 +1117,9 @@ impl App {
         if self.keys && palette::key_sheet(ctx, self.settings.habit.gestures()) {
             self.keys = false;
         }
+        if self.about && about::show(ctx, self.gpu.as_ref()) {
+            self.about = false;
+        }
         if let Some(mut open_path) = self.open_path.take() {
             match open_path.show(ctx) {
                 open_path::Answer::Nothing => self.open_path = Some(open_path),
@@ -1081,6 +1174,12 @@ impl eframe::App for App {
                 Request::Discard(index) => self.projects.discard(index),
                 Request::Habit(habit) => self.settings.habit = habit,
                 Request::Export(others) => self.export(others),
+                Request::RelightRun => self.relight_run(true),
+                Request::RemoveExport(index) => self.exports.remove(index),
+                Request::StopExports => {
+                    self.exports.clear();
+                    self.worker.stop();
+                }
                 Request::ShowDifference(view) => self.show_difference(view),
                 Request::Align(points) => self.align(points),
             }

@@ -1,8 +1,8 @@
 //! Asks for a path where the system has no file dialog.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use eframe::egui::{self, Id};
+use eframe::egui::{self, Id, RichText};
 
 use super::theme;
 use crate::worker::Purpose;
@@ -12,6 +12,9 @@ pub struct OpenPath {
     purpose: Purpose,
     text: String,
     fresh: bool,
+    /// Where relative paths begin.
+    folder: PathBuf,
+    home: Option<PathBuf>,
 }
 
 /// What came of a frame of the question.
@@ -25,12 +28,17 @@ pub enum Answer {
 }
 
 impl OpenPath {
-    /// Asks for a path to be opened.
-    pub fn new(purpose: Purpose) -> Self {
+    /// Asks for a path. Relative ones begin in `folder`, or where the program was started.
+    pub fn new(purpose: Purpose, folder: Option<PathBuf>) -> Self {
+        let folder = folder.unwrap_or_default();
         Self {
             purpose,
             text: String::new(),
             fresh: true,
+            folder: std::path::absolute(&folder)
+                .or_else(|_| std::env::current_dir())
+                .unwrap_or(folder),
+            home: std::env::home_dir(),
         }
     }
 
@@ -58,6 +66,7 @@ impl OpenPath {
                         "Folder of the capture, or its transforms.json",
                     ),
                     Purpose::SaveMesh => ("Save the mesh", "OBJ file to write"),
+                    Purpose::SaveCurves => ("Save the curves", "File to write, .csv or .svg"),
                     Purpose::LightProbe => ("Open a light probe", "A lat-long .hdr or .exr"),
                 };
                 ui.heading(title);
@@ -74,14 +83,21 @@ impl OpenPath {
                     self.fresh = false;
                 }
                 let entered = field.lost_focus() && ui.input(|i| i.key_pressed(egui::Key::Enter));
+                let path = resolved(&self.text, &self.folder, self.home.as_deref());
+                let says = match &path {
+                    Some(path) => format!("This is {}", path.display()),
+                    None => format!("In {}", self.folder.display()),
+                };
+                let tip = "Relative paths begin in this folder; ~ is your home";
+                let label = egui::Label::new(RichText::new(says).weak()).truncate();
+                ui.add(label).on_hover_text(tip);
                 ui.add_space(8.0);
                 ui.horizontal(|ui| {
-                    let given = !self.text.trim().is_empty();
                     let open = ui
-                        .add_enabled(given, theme::main_button(ui, "Use this path"))
+                        .add_enabled(path.is_some(), theme::main_button(ui, "Use this path"))
                         .on_hover_text("Go on with this path");
-                    if open.clicked() || entered && given {
-                        answer = Answer::Path(PathBuf::from(self.text.trim()));
+                    if let Some(path) = path.filter(|_| open.clicked() || entered) {
+                        answer = Answer::Path(path);
                     }
                     if ui.button("Cancel").on_hover_text("Back to work").clicked() {
                         answer = Answer::Closed;
@@ -92,5 +108,47 @@ impl OpenPath {
             answer = Answer::Closed;
         }
         answer
+    }
+}
+
+/// The path that a text means: without the quotes of a shell, `~` being the home folder, relative ones in a folder. None where
+/// there is no text.
+fn resolved(text: &str, folder: &Path, home: Option<&Path>) -> Option<PathBuf> {
+    let text = text.trim();
+    let unquoted = |quote| text.strip_prefix(quote)?.strip_suffix(quote);
+    let text = unquoted('"').or_else(|| unquoted('\'')).unwrap_or(text);
+    if text.is_empty() {
+        return None;
+    }
+    let path = Path::new(text);
+    let at_home = home.and_then(|home| Some(home.join(path.strip_prefix("~").ok()?)));
+    // Joining leaves absolute paths as they are.
+    Some(at_home.unwrap_or_else(|| folder.join(path)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn typed_paths_begin_at_home_in_the_folder_or_at_the_root() {
+        let (folder, home) = (Path::new("/captures"), Path::new("/home/ada"));
+        for (text, path) in [
+            (" duck ", "/captures/duck"),
+            ("../solved/duck", "/captures/../solved/duck"),
+            ("/tmp/duck", "/tmp/duck"),
+            ("~", "/home/ada"),
+            ("~/duck.rekindle", "/home/ada/duck.rekindle"),
+            // Another's home is not known; such a name is a file's.
+            ("~bob", "/captures/~bob"),
+            ("'/tmp/two words'", "/tmp/two words"),
+            ("\"~/duck\"", "/home/ada/duck"),
+        ] {
+            let found = resolved(text, folder, Some(home));
+            assert_eq!(found, Some(PathBuf::from(path)), "{text}");
+        }
+        assert_eq!(resolved("  ", folder, Some(home)), None);
+        let found = resolved("~/duck", folder, None);
+        assert_eq!(found, Some(PathBuf::from("/captures/~/duck")));
     }
 }

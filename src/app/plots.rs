@@ -4,14 +4,16 @@
 //! another lobe, and where the default method splits its cells. Bands with numbers say which stage it was.
 
 use std::ops::RangeInclusive;
+use std::sync::Arc;
 
 use eframe::egui::{self, RichText};
 use egui_plot::{
-    AxisHints, GridMark, HoverPosition, Line, LineStyle, Plot, PlotPoint, PlotPoints, Points, Span,
-    VLine,
+    AxisHints, GridMark, HoverPosition, Line, LineStyle, Plot, PlotPoint, PlotPoints, PlotUi,
+    Points, Span, VLine,
 };
 
 use super::estimation::sentence;
+use super::runs::Overlay;
 use super::theme;
 use crate::worker::{Step, Tried};
 use rekindle_estimate::estimate::{Iteration, Method};
@@ -25,7 +27,7 @@ const MOST_MARKS: f64 = 5.0;
 /// What is drawn of an estimation.
 pub struct Curves<'a> {
     /// Its iterations.
-    pub steps: &'a [std::sync::Arc<Step>],
+    pub steps: &'a [Arc<Step>],
     /// The roughnesses that were tried.
     pub tried: &'a [Tried],
     /// Its method.
@@ -36,16 +38,19 @@ pub struct Curves<'a> {
     pub other: Option<usize>,
     /// 95 % interval of σ, once it is known.
     pub interval: Option<[f32; 2]>,
+    /// Other runs, drawn over it.
+    pub(super) overlays: Vec<Overlay<'a>>,
 }
 
 /// A curve: its name with the unit, what it says, and its value at an iteration.
-struct Kind {
-    name: &'static str,
+pub(super) struct Kind {
+    pub(super) name: &'static str,
     tip: &'static str,
-    value: fn(&Iteration) -> f64,
+    pub(super) value: fn(&Iteration) -> f64,
 }
 
-const KINDS: [Kind; 3] = [
+/// All curves against time.
+pub(super) const KINDS: [Kind; 3] = [
     Kind {
         name: "Roughness σ, rad",
         tip: "Roughness of the lobe in radians; the band across is its 95 % interval",
@@ -72,7 +77,7 @@ struct Stage<'a> {
 }
 
 /// A stretch of iterations of one problem, by index.
-type Stretch = std::ops::Range<usize>;
+pub(super) type Stretch = std::ops::Range<usize>;
 
 impl Curves<'_> {
     /// Shows the plots beside each other. Returns the iteration that was clicked, by index.
@@ -115,23 +120,6 @@ impl Curves<'_> {
         stages
     }
 
-    /// Iterations of one problem each.
-    fn stretches(&self) -> Vec<Stretch> {
-        let mut stretches: Vec<Stretch> = Vec::new();
-        for (i, step) in self.steps.iter().enumerate() {
-            let goes_on = i.checked_sub(1).is_some_and(|before| {
-                let before = &self.steps[before];
-                let split = self.method == Method::Fast && before.fraction != step.fraction;
-                before.stage == step.stage && before.model == step.model && !split
-            });
-            match stretches.last_mut() {
-                Some(last) if goes_on => last.end = i + 1,
-                _ => stretches.push(i..i + 1),
-            }
-        }
-        stretches
-    }
-
     /// Which stage has which number, and what the dashed lines are.
     fn legend_ui(&self, ui: &mut egui::Ui, stages: &[Stage<'_>]) {
         let palette = theme::palette(ui);
@@ -149,6 +137,10 @@ impl Curves<'_> {
                     ui.label(RichText::new(text).small().color(colour));
                 }
             }
+            for overlay in &self.overlays {
+                let text = format!("— {}", overlay.run.name());
+                ui.label(RichText::new(text).small().color(overlay.colour));
+            }
         });
     }
 
@@ -165,7 +157,7 @@ impl Curves<'_> {
             let iteration = &self.steps[i].iteration;
             [iteration.elapsed_s, (kind.value)(iteration)]
         };
-        let stretches = self.stretches();
+        let own = stretches(self.steps, self.method);
         let label = kind.name;
         let plot = base(kind.name, height - HEAD, " s").label_formatter(move |position| {
             let at = place(position);
@@ -189,20 +181,11 @@ impl Curves<'_> {
                     .fill(palette.accent.gamma_multiply(0.18));
                 plot.span(band);
             }
-            for stretch in stretches {
-                let points: Vec<[f64; 2]> =
-                    stretch.map(point).filter(|p| p[1].is_finite()).collect();
-                plot.points(
-                    Points::new(kind.name, PlotPoints::from(points.clone()))
-                        .radius(1.8)
-                        .color(palette.accent),
-                );
-                // Each part on its own: a joint of two steep ones would be drawn as a wedge.
-                for pair in points.windows(2) {
-                    let part = Line::new(kind.name, PlotPoints::from(pair.to_vec()));
-                    plot.line(part.color(palette.accent).width(1.5).allow_hover(false));
-                }
+            for Overlay { run, colour } in &self.overlays {
+                let all = stretches(run.steps(), run.settings.method);
+                stretches_ui(plot, kind, run.steps(), all, *colour);
             }
+            stretches_ui(plot, kind, self.steps, own, palette.accent);
             for (mark, colour) in [
                 (self.shown, palette.curves[1]),
                 (self.other, palette.curves[2]),
@@ -284,6 +267,48 @@ impl Curves<'_> {
     }
 }
 
+/// Iterations of one problem each.
+pub(super) fn stretches(steps: &[Arc<Step>], method: Method) -> Vec<Stretch> {
+    let mut stretches: Vec<Stretch> = Vec::new();
+    for (i, step) in steps.iter().enumerate() {
+        let goes_on = i.checked_sub(1).is_some_and(|before| {
+            let before = &steps[before];
+            let split = method == Method::Fast && before.fraction != step.fraction;
+            before.stage == step.stage && before.model == step.model && !split
+        });
+        match stretches.last_mut() {
+            Some(last) if goes_on => last.end = i + 1,
+            _ => stretches.push(i..i + 1),
+        }
+    }
+    stretches
+}
+
+/// Draws the curve of a run, broken between its stretches.
+fn stretches_ui(
+    plot: &mut PlotUi<'_>,
+    kind: &Kind,
+    steps: &[Arc<Step>],
+    stretches: Vec<Stretch>,
+    colour: egui::Color32,
+) {
+    for stretch in stretches {
+        let iterations = steps[stretch].iter().map(|step| &step.iteration);
+        let points = iterations.map(|i| [i.elapsed_s, (kind.value)(i)]);
+        let points: Vec<[f64; 2]> = points.filter(|p| p[1].is_finite()).collect();
+        plot.points(
+            Points::new(kind.name, PlotPoints::from(points.clone()))
+                .radius(1.8)
+                .color(colour),
+        );
+        // Each part on its own: a joint of two steep ones would be drawn as a wedge.
+        for pair in points.windows(2) {
+            let part = Line::new(kind.name, PlotPoints::from(pair.to_vec()));
+            plot.line(part.color(colour).width(1.5).allow_hover(false));
+        }
+    }
+}
+
 /// The line above a plot: its name, and what else there is.
 fn head_ui(ui: &mut egui::Ui, name: &str, tip: &str, more: impl FnOnce(&mut egui::Ui)) {
     ui.horizontal(|ui| {
@@ -355,7 +380,6 @@ pub(super) fn place(position: &HoverPosition<'_>) -> PlotPoint {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::Arc;
 
     fn step(stage: &str, fraction: f32, elapsed_s: f64) -> Arc<Step> {
         Arc::new(Step {
@@ -381,6 +405,7 @@ mod tests {
             shown: None,
             other: None,
             interval: None,
+            overlays: Vec::new(),
         }
     }
 
@@ -394,10 +419,9 @@ mod tests {
             step("splitting", 0.5, 5.0),
         ];
         let fast = curves(&steps, Method::Fast);
-        assert_eq!(fast.stretches(), [0..2, 2..3, 3..5]);
+        assert_eq!(stretches(&steps, Method::Fast), [0..2, 2..3, 3..5]);
         // The paper's methods have one problem from begin to end, and tell how far they are at every step.
-        let paper = curves(&steps, Method::Amuh);
-        assert_eq!(paper.stretches(), [0..2, 2..5]);
+        assert_eq!(stretches(&steps, Method::Amuh), [0..2, 2..5]);
         let stages = fast.stages();
         let stages = stages.iter().map(|s| (s.name, s.seconds));
         let expected = [("comparing", [1.0, 3.0]), ("splitting", [3.0, 5.0])];

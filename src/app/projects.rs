@@ -24,6 +24,8 @@ pub enum Then {
     Open(Source),
     /// Estimate again.
     Solve,
+    /// Relight with another run.
+    RelightRun,
 }
 
 /// What the user said to the question about unsaved changes.
@@ -207,14 +209,13 @@ impl Projects {
     pub fn show(&mut self, ctx: &egui::Context, name: &str) -> Option<Answer> {
         let then = self.question.clone()?;
         let mut answer = None;
-        let modal =
-            egui::Modal::new(Id::unique("unsaved"))
-                .frame(theme::dialog(ctx))
-                .show(ctx, |ui| {
-                    ui.set_width(420.0);
-                    ui.heading("Save the changes?");
-                    ui.add_space(4.0);
-                    ui.label(match then {
+        let modal = egui::Modal::new(Id::unique("unsaved"))
+            .frame(theme::dialog(ctx))
+            .show(ctx, |ui| {
+                ui.set_width(420.0);
+                ui.heading("Save the changes?");
+                ui.add_space(4.0);
+                ui.label(match then {
                 Then::Quit => {
                     format!("{name} has changes that are not saved. Without saving they are lost.")
                 }
@@ -224,25 +225,28 @@ impl Projects {
                 Then::Solve => format!(
                     "{name} has changes that are not saved. A new estimate replaces its lights."
                 ),
+                Then::RelightRun => format!(
+                    "{name} has changes that are not saved. The lights of another run replace them."
+                ),
             });
-                    ui.add_space(theme::GAP);
-                    ui.horizontal(|ui| {
-                        let save = ui.add(theme::main_button(ui, "Save"));
-                        if save.on_hover_text("Save, then go on").clicked() {
-                            answer = Some(Answer::Save(then.clone()));
-                        }
-                        let discard = ui.button("Don't save");
-                        if discard
-                            .on_hover_text("Go on; the changes are lost")
-                            .clicked()
-                        {
-                            answer = Some(Answer::Discard(then.clone()));
-                        }
-                        if ui.button("Cancel").on_hover_text("Back to work").clicked() {
-                            answer = Some(Answer::Cancel);
-                        }
-                    });
+                ui.add_space(theme::GAP);
+                ui.horizontal(|ui| {
+                    let save = ui.add(theme::main_button(ui, "Save"));
+                    if save.on_hover_text("Save, then go on").clicked() {
+                        answer = Some(Answer::Save(then.clone()));
+                    }
+                    let discard = ui.button("Don't save");
+                    if discard
+                        .on_hover_text("Go on; the changes are lost")
+                        .clicked()
+                    {
+                        answer = Some(Answer::Discard(then.clone()));
+                    }
+                    if ui.button("Cancel").on_hover_text("Back to work").clicked() {
+                        answer = Some(Answer::Cancel);
+                    }
                 });
+            });
         if modal.should_close() && answer.is_none() {
             answer = Some(Answer::Cancel);
         }

@@ -177,30 +177,46 @@ fn first_sentence(text: &str) -> (&str, &str) {
 fn surface_ui(ui: &mut egui::Ui, solution: &Solution) {
     theme::group(ui, "Surface and lights");
     let mut rows = Vec::new();
-    rows.push(("Surface", solution.surface_in_words()));
+    let mut tell = |name, value, tip| rows.push(Fact { name, value, tip });
+    let tip = "How the surface reflects, and how rough it is: 0 is a mirror, 1 is matt";
+    tell("Surface", solution.surface_in_words(), tip);
     if let Some(brdf) = solution.brdf {
-        rows.push(("σ", format!("{:.4} rad", brdf.sigma)));
+        let tip = "How far the surface spreads a highlight, in radians; the smaller, the glossier";
+        tell("σ", format!("{:.4} rad", brdf.sigma), tip);
         if let Some([low, high]) = solution.sigma_interval95 {
-            rows.push(("95 % interval", format!("{low:.4} to {high:.4} rad")));
+            let tip = "The photographs allow any σ in here: 19 times of 20 the true one is";
+            let value = format!("{low:.4} to {high:.4} rad");
+            tell("95 % interval", value, tip);
         }
-        rows.push(("Lobe", brdf.model.name().to_owned()));
+        let tip = "The formula for the form of a highlight";
+        tell("Lobe", brdf.model.name().to_owned(), tip);
         if !solution.chosen_because.is_empty() {
-            rows.push(("Chosen", solution.chosen_because.clone()));
+            let tip = "Why this formula and no other";
+            tell("Chosen", solution.chosen_because.clone(), tip);
         }
     }
-    rows.push(("Lights", solution.lamps.len().to_string()));
+    let tip = "How many lights were found; each can be moved, dimmed and coloured";
+    tell("Lights", solution.lamps.len().to_string(), tip);
     if let Some(misfit) = solution.fit.misfit {
-        let left = format!("{:.1} % beyond noise", 100.0 * misfit);
-        rows.push(("Unexplained", left));
+        let value = format!("{:.1} % beyond noise", 100.0 * misfit);
+        let tip = "The part of the highlights that roughness and lights leave unexplained, apart from noise of the photographs";
+        tell("Unexplained", value, tip);
     }
     facts(ui, rows);
 }
 
-/// Names with values; long ones are wrapped.
-fn facts(ui: &mut egui::Ui, rows: Vec<(&str, String)>) {
+/// A name with its value, and what it means.
+struct Fact<'a> {
+    name: &'a str,
+    value: String,
+    tip: &'static str,
+}
+
+/// Shows facts; long values are wrapped.
+fn facts(ui: &mut egui::Ui, rows: Vec<Fact<'_>>) {
     const NAMES: f32 = 88.0;
-    for (name, value) in rows {
-        ui.horizontal_top(|ui| {
+    for Fact { name, value, tip } in rows {
+        let row = ui.horizontal_top(|ui| {
             let left = egui::Layout::left_to_right(egui::Align::Min);
             ui.allocate_ui_with_layout(vec2(NAMES, 0.0), left, |ui| {
                 ui.set_min_width(NAMES);
@@ -208,6 +224,7 @@ fn facts(ui: &mut egui::Ui, rows: Vec<(&str, String)>) {
             });
             ui.vertical(|ui| ui.add(egui::Label::new(value).wrap()));
         });
+        row.response.on_hover_text(tip);
     }
     ui.add_space(theme::GAP * 0.5);
 }
@@ -223,9 +240,13 @@ fn corrections_ui(ui: &mut egui::Ui, solution: &Solution) {
         ui.add_space(theme::GAP * 0.5);
         return;
     }
-    let named = rows.iter();
-    let named = named.map(|(name, text)| (name.as_str(), text.clone()));
-    facts(ui, named.collect());
+    let tip = "What was put right before the estimate, because the photographs say so";
+    let told = rows.iter().map(|(name, value)| Fact {
+        name,
+        value: value.clone(),
+        tip,
+    });
+    facts(ui, told.collect());
 }
 
 /// What was corrected about a view, if anything was.

@@ -30,6 +30,8 @@ pub struct Settings {
     pub hemisphere: HemisphereExposure,
     /// Whether the mesh's outline lies over the photographs.
     pub outline: bool,
+    /// Whether the hemisphere is drawn around the object.
+    pub dome: bool,
     /// Whether the result card is open.
     pub result: bool,
     /// What was exported last and how.
@@ -73,6 +75,7 @@ impl Default for Settings {
             estimation: Estimation::default(),
             hemisphere: HemisphereExposure::default(),
             outline: true,
+            dome: false,
             result: false,
             export: Question::default(),
         }

@@ -72,6 +72,61 @@ fn the_demo_is_opened_estimated_paused_and_relit() {
 }
 
 #[test]
+fn runs_are_kept_compared_saved_and_relit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(Some(Source::Path(capture("spot_paper"))));
+    wait_for(&mut window, "Findings");
+    coarse(&mut window);
+    for _ in 0..2 {
+        window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Enter);
+        window.step();
+        wait_for(&mut window, "View 1 hemisphere");
+        wait_for(&mut window, "Lit hemisphere");
+    }
+    click(&mut window, "Mute Light 1");
+    click(&mut window, "Estimation");
+    click(&mut window, "Run 2 of 2");
+    assert!(has_part(&window, "Fast, lobe: Whichever fits"));
+    click(&mut window, "Curves of Run 1");
+    assert!(has(&window, "— Run 1"), "it is drawn over the other");
+    window.check_accessibility();
+    click(&mut window, "Run 1");
+    assert!(has(&window, "Run 1 of 2"));
+    window.key_press(egui::Key::Escape);
+    window.run_steps(3);
+    // Hemispheres of both, beside each other.
+    click(&mut window, "Compare with");
+    click(&mut window, "Compared run");
+    let second = window.get_all_by_label("Run 2").last();
+    second.expect("the choice").click();
+    window.run_steps(3);
+    assert!(has_part(&window, "Compared Run 2: Iteration 1,"));
+    for (name, part) in [
+        ("curves.csv", "run,iteration,elapsed_s,stage"),
+        ("curves.svg", "Roughness σ, rad"),
+    ] {
+        click(&mut window, "Save curves…");
+        wait_for(&mut window, "Use this path");
+        let path = folder.path().join(name);
+        let field = window.get_by_label("Path");
+        field.type_text(&path.display().to_string());
+        window.run_steps(2);
+        click(&mut window, "Use this path");
+        wait(&mut window, name, |_| path.exists());
+        let text = std::fs::read_to_string(&path).expect("the curves");
+        assert!(text.contains(part), "{text}");
+        assert!(name != "curves.csv" || text.lines().any(|l| l.starts_with("2,")));
+    }
+    // Edits of the other run's light are not lost without a question.
+    click(&mut window, "Relight");
+    wait_for(&mut window, "Save the changes?");
+    click(&mut window, "Don't save");
+    wait_for(&mut window, "Lit hemisphere");
+    window.run_steps(3);
+    assert!(!has(&window, "Setup 1"), "as it was estimated");
+}
+
+#[test]
 fn a_broken_capture_is_a_message_and_leaves_what_is_open() {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("transforms.json"), "{ \"frames\": [").expect("written");
@@ -90,6 +145,13 @@ fn a_broken_capture_is_a_message_and_leaves_what_is_open() {
     drop_on(&mut window, &missing);
     wait_for(&mut window, "Opening failed");
     assert!(has_part(&window, "nowhere") && has(&window, "spot_paper"));
+    // What a fault is told with.
+    click(&mut window, "Help");
+    click(&mut window, "About rekindle");
+    assert!(has(&window, env!("CARGO_PKG_VERSION")));
+    assert!(has(&window, "Graphics adapter"));
+    window.check_accessibility();
+    click(&mut window, "Close");
 }
 
 #[test]

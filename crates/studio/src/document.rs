@@ -12,12 +12,14 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::group::GroupId;
 use super::lamp::{Baseline, LampId};
 use super::look::{LitLook, Look, Probe, ProbeLight};
 use rekindle_solution::Solution;
 
-/// What looks that nobody has named yet are called, with a number.
+/// What looks and groups that nobody has named yet are called, with a number.
 const SETUP: &str = "Setup";
+const GROUP: &str = "Group";
 /// Steps that can be undone.
 const MAX_STEPS: usize = 500;
 
@@ -109,6 +111,12 @@ impl State {
         let lamp = base.duplicate(lamp, copy, name);
         self.look_mut().lamps.insert(at + 1, lamp);
         Some(copy)
+    }
+
+    /// Makes a group of lamps of the look that is shown; none without any. They shine as before.
+    pub fn group_lamps(&mut self, lamps: &[LampId]) -> Option<GroupId> {
+        let name = free_name(GROUP, self.look().groups.iter().map(|g| g.name.as_str()));
+        self.look_mut().add_group(name, lamps)
     }
 
     /// Adds a look with the captured lighting and shows it.
@@ -214,9 +222,12 @@ impl State {
                 );
             }
             look.lamps = lamps;
-            if look.solo.is_some_and(|id| look.lamp(id).is_none()) {
-                look.solo = None;
-            }
+            let mut solo = std::mem::take(&mut look.solo);
+            solo.retain(|id| look.lamp(*id).is_some());
+            solo.sort_unstable();
+            solo.dedup();
+            look.solo = solo;
+            look.check_groups()?;
         }
         self.ensure_captured(base);
         Ok(self)
@@ -324,7 +335,7 @@ impl Document {
     /// The probe that surrounds the object in the look that is shown.
     pub fn surroundings(&self) -> Option<(&Probe, &ProbeLight)> {
         let look = self.look();
-        let probe = look.probe.as_ref().filter(|_| look.solo.is_none())?;
+        let probe = look.probe.as_ref().filter(|_| look.solo.is_empty())?;
         Some((probe, self.probes.get(&probe.file)?))
     }
 
@@ -397,6 +408,11 @@ impl Document {
         self.gesture.is_some()
     }
 
+    /// The state before the drag that is under way.
+    pub fn before_drag(&self) -> Option<&State> {
+        self.gesture.as_ref().map(|step| &*step.state)
+    }
+
     /// Ends a drag: all of it becomes one step.
     pub fn commit(&mut self) {
         if let Some(step) = self.gesture.take() {
@@ -419,6 +435,20 @@ impl Document {
     /// What redo would do again.
     pub fn redo_label(&self) -> Option<&str> {
         self.redo.last().map(|s| s.label.as_str())
+    }
+
+    /// What was done, the oldest first: steps that undo takes back, then those that redo does again.
+    pub fn history(&self) -> (Vec<&str>, Vec<&str>) {
+        let done = self.undo.iter().map(|s| s.label.as_str());
+        let undone = self.redo.iter().rev().map(|s| s.label.as_str());
+        (done.collect(), undone.collect())
+    }
+
+    /// Goes to the state after this many of the steps of [`Self::history`], or to the last there is.
+    pub fn go_to(&mut self, steps: usize) {
+        self.commit();
+        while self.undo.len() > steps && self.undo().is_some() {}
+        while self.undo.len() < steps && self.redo().is_some() {}
     }
 
     /// Takes the last step back. Returns what it was.

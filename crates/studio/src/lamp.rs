@@ -3,6 +3,7 @@
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
+use super::group::GroupId;
 use rekindle_relight::luminance;
 use rekindle_relight::{LampNodes, Lighting};
 use rekindle_solution::Solution;
@@ -59,6 +60,9 @@ pub struct Lamp {
     pub angular_radius: Option<f32>,
     /// Whether it is switched off.
     pub muted: bool,
+    /// The group of its look that it is in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<GroupId>,
 }
 
 /// A lamp of the estimate.
@@ -205,6 +209,7 @@ impl Baseline {
             colour: Colour::Gain([1.0; 3]),
             angular_radius: None,
             muted: false,
+            group: None,
         }
     }
 
@@ -223,6 +228,7 @@ impl Baseline {
             colour: Colour::Gain([1.0; 3]),
             angular_radius: Some(5.0 * DEGREE),
             muted: false,
+            group: None,
         }
     }
 

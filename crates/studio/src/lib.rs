@@ -17,6 +17,7 @@
 //! ```
 
 mod document;
+mod group;
 mod lamp;
 mod look;
 mod pointing;
@@ -29,12 +30,13 @@ pub mod fixtures;
 mod tests;
 
 pub use document::{Document, State};
+pub use group::{Group, GroupId};
 pub use lamp::{
     ANGULAR_RADIUS, BaseLamp, Baseline, Colour, KELVIN, Lamp, LampId, MAX_STOPS, Origin, black_body,
 };
 pub use look::{LitLook, Look, Probe, ProbeLight};
 pub use pointing::{HighlightShare, Place, highlight_shares, place};
-pub use project::{EXTENSION, ProjectError, Saved, Snapshot};
+pub use project::{EXTENSION, ProjectError, Saved, Snapshot, write_whole};
 pub use ready::ReadySetup;
 pub use recovery::{Recoverable, Recovery, state_folder};
 

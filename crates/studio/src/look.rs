@@ -7,6 +7,7 @@ use glam::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use super::group::{Group, solo};
 use super::lamp::{Baseline, Lamp, LampId, Origin};
 use rekindle_relight::{LampNodes, LatLong, Lighting, ProbeUnits};
 
@@ -52,8 +53,12 @@ pub struct Look {
     pub captured: bool,
     /// In the order of the list.
     pub lamps: Vec<Lamp>,
-    /// The only lamp that shines, if one is chosen so: all others, light that belongs to no lamp and the probe rest.
-    pub solo: Option<LampId>,
+    /// Lamps that are set together. Projects of before there were groups have none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub groups: Vec<Group>,
+    /// The only lamps that shine, if some are chosen so: all others, light that belongs to no lamp and the probe rest. In order.
+    #[serde(default, with = "solo")]
+    pub solo: Vec<LampId>,
     /// Whether light of the estimate that belongs to no lamp shines.
     pub remainder: bool,
     /// Factor of the ambient part.
@@ -126,7 +131,8 @@ impl Look {
             name: "Captured light".to_owned(),
             captured: true,
             lamps,
-            solo: None,
+            groups: Vec::new(),
+            solo: Vec::new(),
             remainder: true,
             ambient: 1.0,
             probe: None,
@@ -144,8 +150,8 @@ impl Look {
         };
         self.lamps.len() == captured.lamps.len()
             && self.lamps.iter().zip(&captured.lamps).all(same)
-            && (self.solo, self.remainder, self.ambient)
-                == (captured.solo, captured.remainder, captured.ambient)
+            && (&self.solo, self.remainder, self.ambient)
+                == (&captured.solo, captured.remainder, captured.ambient)
             && self.probe.is_none()
     }
 
@@ -159,17 +165,22 @@ impl Look {
         self.lamps.iter_mut().find(|l| l.id == id)
     }
 
-    /// Removes a lamp.
+    /// Removes a lamp, and its group if it was the last in there.
     pub fn delete(&mut self, id: LampId) {
         self.lamps.retain(|l| l.id != id);
-        if self.solo == Some(id) {
-            self.solo = None;
-        }
+        self.solo.retain(|other| *other != id);
+        self.forget_empty_groups();
     }
 
-    /// Leaves only this lamp on, or ends that.
-    pub fn toggle_solo(&mut self, id: LampId) {
-        self.solo = (self.solo != Some(id)).then_some(id);
+    /// Leaves only these lamps on, or ends that.
+    pub fn toggle_solo(&mut self, lamps: &[LampId]) {
+        let mut lamps = lamps.to_vec();
+        lamps.sort_unstable();
+        self.solo = if self.solo == lamps {
+            Vec::new()
+        } else {
+            lamps
+        };
     }
 
     /// Puts a light probe in the place of everything that shines.
@@ -177,7 +188,7 @@ impl Look {
         for lamp in &mut self.lamps {
             lamp.muted = true;
         }
-        self.solo = None;
+        self.solo.clear();
         self.remainder = false;
         self.ambient = 0.0;
         self.probe = Some(Probe {
@@ -190,14 +201,18 @@ impl Look {
 
     /// Whether a lamp sends no light in this look.
     pub fn is_dark(&self, lamp: &Lamp) -> bool {
-        self.solo.map_or(lamp.muted, |solo| solo != lamp.id)
+        if self.solo.is_empty() {
+            self.as_lit(lamp).muted
+        } else {
+            !self.solo.contains(&lamp.id)
+        }
     }
 
     /// The look as light. `probe` is the one that the look names; without it there is none.
     pub fn light(&self, base: &Baseline, probe: Option<&ProbeLight>) -> LitLook {
         let lit = &base.lighting;
         let environment = match (&self.probe, probe) {
-            (Some(set), Some(light)) if self.solo.is_none() => light.light(set, lit),
+            (Some(set), Some(light)) if self.solo.is_empty() => light.light(set, lit),
             _ => Vec::new(),
         };
         LitLook {
@@ -206,9 +221,9 @@ impl Look {
                 lamps: self
                     .lamps
                     .iter()
-                    .map(|lamp| base.nodes(lamp, self.is_dark(lamp)))
+                    .map(|lamp| base.nodes(&self.as_lit(lamp), self.is_dark(lamp)))
                     .collect(),
-                remainder: if self.remainder && self.solo.is_none() {
+                remainder: if self.remainder && self.solo.is_empty() {
                     lit.remainder.clone()
                 } else {
                     Vec::new()
@@ -220,8 +235,14 @@ impl Look {
         }
     }
 
-    /// The look as the entries of an `edits.json`, for a solution's light. The probe's file is named as it is.
+    /// The look as the entries of an `edits.json`, for a solution's light. The probe's file is named as it is. Edits know no
+    /// groups: what these add is in the lamps.
     pub fn edits(&self, base: &Baseline) -> Vec<Value> {
+        self.plain().edits_of_lamps(base)
+    }
+
+    /// The edits of a look without groups, with a solo of one lamp at most.
+    fn edits_of_lamps(&self, base: &Baseline) -> Vec<Value> {
         let mut edits = Vec::new();
         let kept: Vec<Option<&Lamp>> = (0..base.lamps.len())
             .map(|i| {
@@ -230,7 +251,7 @@ impl Look {
                 self.lamps.iter().find(is_kept)
             })
             .collect();
-        let solo = self.solo.and_then(|id| self.lamp(id));
+        let solo = self.solo.first().and_then(|id| self.lamp(*id));
         let solo_kept = solo.filter(|lamp| kept.contains(&Some(*lamp)));
         if let Some(near) = solo_kept.and_then(|lamp| base.own_direction(lamp)) {
             edits.push(json!({ "solo": { "near": near.to_array() } }));
@@ -270,10 +291,10 @@ impl Look {
     }
 
     fn push_surroundings(&self, edits: &mut Vec<Value>) {
-        if !self.remainder && self.solo.is_none() {
+        if !self.remainder && self.solo.is_empty() {
             edits.push(json!({ "remainder": { "gain": 0.0 } }));
         }
-        if let Some(probe) = self.probe.as_ref().filter(|_| self.solo.is_none()) {
+        if let Some(probe) = self.probe.as_ref().filter(|_| self.solo.is_empty()) {
             edits.push(json!({ "environment": {
                 "file": probe.file,
                 "rotation_deg": probe.rotation.to_degrees(),

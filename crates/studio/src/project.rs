@@ -23,8 +23,10 @@ use rekindle_solution::{Solution, SolutionError};
 /// Extension of project files, without the dot.
 pub const EXTENSION: &str = "rekindle";
 const FORMAT: &str = "rekindle-project";
-/// Newest version that is read, and the one that is written.
-const VERSION: u32 = 1;
+/// Newest version that is read: it knows groups, and a solo of several lamps.
+const VERSION: u32 = 2;
+/// What is written where nothing needs a newer one, so that older programs read it.
+const OLDEST: u32 = 1;
 
 /// Why a project can't be read or written.
 #[derive(Debug, Error)]
@@ -265,7 +267,11 @@ impl Snapshot {
         }
         let file = File {
             format: FORMAT.to_owned(),
-            version: VERSION,
+            version: if needs_groups(&state) {
+                VERSION
+            } else {
+                OLDEST
+            },
             solution: Reference::new(folder, source),
             capture: (self.capture.as_deref()).map(|capture| Reference::new(folder, capture)),
             probes,
@@ -282,8 +288,15 @@ impl Snapshot {
     }
 }
 
-/// Writes a file whole: aside, then renamed. A link is followed.
-fn write_whole(path: &Path, contents: &[u8]) -> io::Result<()> {
+/// Whether a program that knows no groups would show another light.
+fn needs_groups(state: &State) -> bool {
+    let mut looks = state.looks.iter();
+    looks.any(|look| !look.groups.is_empty() || look.solo.len() > 1)
+}
+
+/// Writes a single file that its user chose whole: aside, then renamed over what was there. A link is followed, folders that lack
+/// are made.
+pub fn write_whole(path: &Path, contents: &[u8]) -> io::Result<()> {
     let real = path.canonicalize();
     let path = real.as_deref().unwrap_or(path);
     let folder = parent(path);

@@ -183,13 +183,15 @@ impl ReadySetup {
                 colour: light.kelvin.map_or(Colour::Gain([1.0; 3]), Colour::Kelvin),
                 angular_radius: Some(light.radius.to_radians()),
                 muted: false,
+                group: None,
             });
         }
         Look {
             name: self.words().0.to_owned(),
             captured: false,
             lamps,
-            solo: None,
+            groups: Vec::new(),
+            solo: Vec::new(),
             remainder: false,
             ambient: 0.0,
             probe: None,

@@ -124,12 +124,37 @@ fn a_look_and_its_edits_are_the_same_light() {
                 });
             }),
         ),
-        ("solo", Box::new(|s, _| s.look_mut().toggle_solo(LampId(0)))),
+        (
+            "solo",
+            Box::new(|s, _| s.look_mut().toggle_solo(&[LampId(0)])),
+        ),
         (
             "solo of a disc",
             Box::new(|s, b| {
                 let id = s.add_lamp(b, Vec3::Z);
-                s.look_mut().solo = Some(id);
+                s.look_mut().solo = vec![id];
+            }),
+        ),
+        (
+            "group",
+            Box::new(|s, b| {
+                let id = s.add_lamp(b, Vec3::NEG_X);
+                let group = s.group_lamps(&[LampId(0), LampId(1), id]).unwrap();
+                s.look_mut().group_mut(group).unwrap().stops = 1.25;
+            }),
+        ),
+        (
+            "muted group",
+            Box::new(|s, _| {
+                let group = s.group_lamps(&[LampId(1), LampId(2)]).unwrap();
+                s.look_mut().group_mut(group).unwrap().muted = true;
+            }),
+        ),
+        (
+            "solo of several",
+            Box::new(|s, b| {
+                let id = s.add_lamp(b, Vec3::Z);
+                s.look_mut().toggle_solo(&[id, LampId(0)]);
             }),
         ),
     ];
@@ -153,6 +178,115 @@ fn a_look_and_its_edits_are_the_same_light() {
         together.edit("change", |s, b| (changes[i].1)(s, b));
         assert_edits_agree(&together, folder.path(), changes[i].0);
     }
+}
+
+#[test]
+fn lamps_of_a_group_are_set_together_and_shine_on_without_it() {
+    let mut document = document();
+    let flux = |document: &Document, lamp: usize| {
+        let lamp = &document.light().lighting.lamps[lamp];
+        if lamp.muted { Vec3::ZERO } else { lamp.flux() }
+    };
+    let before = [0, 1, 2].map(|lamp| flux(&document, lamp));
+    let both = [LampId(0), LampId(2)];
+    let group = document
+        .edit("Group", |s, _| s.group_lamps(&both))
+        .expect("a group");
+    assert_eq!(document.look().members(group), both);
+    assert_eq!([0, 1, 2].map(|lamp| flux(&document, lamp)), before);
+    document.edit("Dim", |s, _| {
+        s.look_mut().group_mut(group).unwrap().stops = -1.0;
+        s.look_mut().lamp_mut(LampId(0)).unwrap().stops = 2.0;
+    });
+    let dimmed = [2.0 * before[0], before[1], 0.5 * before[2]];
+    let near = |document: &Document, wanted: [Vec3; 3]| {
+        (0..3).all(|i| (flux(document, i) - wanted[i]).length() < 1e-4 * before[i].length())
+    };
+    assert!(near(&document, dimmed));
+    // One that goes to another group, and those that are left when a group ends, shine as before.
+    document.edit("Group", |s, _| s.group_lamps(&[LampId(2), LampId(1)]));
+    assert!(near(&document, dimmed));
+    document.edit("Ungroup", |s, _| s.look_mut().ungroup(group));
+    assert!(near(&document, dimmed));
+    assert_eq!(document.look().groups.len(), 1);
+    // The last lamp takes its group along.
+    document.edit("Mute", |s, _| s.look_mut().groups[0].muted = true);
+    assert!(near(&document, [dimmed[0], Vec3::ZERO, Vec3::ZERO]));
+    document.edit("Delete", |s, _| s.look_mut().delete(LampId(1)));
+    document.edit("Delete", |s, _| s.look_mut().delete(LampId(2)));
+    assert!(document.look().groups.is_empty());
+    for _ in 0..7 {
+        document.undo();
+    }
+    assert!(!document.is_modified());
+    // The captured light has no groups: the first one began a setup.
+    assert_eq!(names(&document), ["Captured light"]);
+}
+
+#[test]
+fn groups_come_back_and_projects_without_them_stay_readable_by_older_programs() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut document = edited(folder.path());
+    let path = folder.path().join("project.rekindle");
+    let version = || {
+        let file: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+        file["version"].as_u64()
+    };
+    document.edit("Solo", |s, _| s.look_mut().toggle_solo(&[LampId(1)]));
+    document.save(&path).unwrap();
+    assert_eq!(version(), Some(1));
+    let text = fs::read_to_string(&path).unwrap();
+    assert!(
+        text.contains("\"solo\": 1") && !text.contains("group"),
+        "{text}"
+    );
+    document.edit("Group", |s, _| {
+        let group = s.group_lamps(&[LampId(0), LampId(2)]).unwrap();
+        let group = s.look_mut().group_mut(group).unwrap();
+        (group.stops, group.folded) = (0.5, true);
+        group.name = "Windows".to_owned();
+        s.look_mut().toggle_solo(&[LampId(2), LampId(0)]);
+    });
+    document.save(&path).unwrap();
+    assert_eq!(version(), Some(2));
+    let (again, _) = Document::open(&path).unwrap();
+    assert_eq!(again.state(), document.state());
+    assert_eq!(again.light().lighting, document.light().lighting);
+    // What names a group that isn't there is in none; two of one number are refused.
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replacen("\"group\": 0", "\"group\": 5", 1)).unwrap();
+    let (again, _) = Document::open(&path).unwrap();
+    let members = again.look().members(again.look().groups[0].id);
+    assert_eq!(members.len(), 1);
+    let mut file: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let active = file["active"].as_u64().unwrap() as usize;
+    let groups = file["looks"][active]["groups"].as_array_mut().unwrap();
+    groups.push(groups[0].clone());
+    fs::write(&path, file.to_string()).unwrap();
+    let message = Document::open(&path).err().unwrap().to_string();
+    assert!(
+        message.contains("\"Windows\" has the number of another"),
+        "{message}"
+    );
+}
+
+#[test]
+fn any_step_of_the_history_can_be_gone_to() {
+    let mut document = document();
+    let mut states = vec![document.state().clone()];
+    for (label, stops) in [("One", 1.0), ("Two", 2.0), ("Three", 3.0)] {
+        document.edit(label, |s, _| s.look_mut().lamps[0].stops = stops);
+        states.push(document.state().clone());
+    }
+    for at in [1, 3, 0, 2] {
+        document.go_to(at);
+        assert_eq!(document.state(), &states[at]);
+        let (done, undone) = document.history();
+        assert_eq!(done, ["One", "Two", "Three"][..at]);
+        assert_eq!(undone, ["One", "Two", "Three"][at..]);
+    }
+    document.go_to(9);
+    assert_eq!(document.state(), &states[3]);
 }
 
 #[test]
@@ -420,7 +554,7 @@ fn bad_projects_are_refused_with_a_reason() {
     let text = fs::read_to_string(&path).unwrap();
     for (from, to, part) in [
         ("rekindle-project", "something-else", "something-else"),
-        ("\"version\": 1", "\"version\": 2", "newer"),
+        ("\"version\": 1", "\"version\": 3", "newer"),
         ("\"active\": 1", "\"active\": 7", "setup"),
         (
             "\"estimated\": 2",

@@ -125,7 +125,8 @@ impl Default for Question {
 }
 
 impl Question {
-    /// Shows the question; `job` is what it comes to in a folder, and `lamp` the name of the selected lamp.
+    /// Shows the question; `job` is what it comes to in a folder, `lamp` the name of the selected lamp, and a file is `taken`
+    /// that is there or will be.
     pub(super) fn show(
         &mut self,
         ctx: &egui::Context,
@@ -133,6 +134,7 @@ impl Question {
         lamp: Option<&str>,
         automatic: &str,
         job: impl Fn(&Self, &Path) -> Option<Job>,
+        taken: impl Fn(&Path) -> bool,
     ) -> Answer {
         let mut answer = Answer::Nothing;
         let modal = egui::Modal::new(egui::Id::unique("export"))
@@ -185,7 +187,7 @@ impl Question {
         if answer == Answer::Export(Others::Asked)
             && let Some(folder) = &self.folder
         {
-            let there = job(self, folder).map_or(0, |job| job.there_already());
+            let there = job(self, folder).map_or(0, |job| job.there_already(taken));
             if there > 0 {
                 self.there_already = there;
                 answer = Answer::Nothing;
@@ -380,6 +382,14 @@ impl Question {
         file_name(&name)
     }
 
+    /// The name of the files.
+    pub(super) fn file_name(&self, document: &Document, at: Option<usize>) -> String {
+        match &self.name {
+            Some(name) => file_name(name),
+            None => self.automatic_name(document, at),
+        }
+    }
+
     /// Forgets a name that was typed, when another document is open.
     pub(in crate::app) fn forget_name(&mut self) {
         self.name = None;
@@ -395,10 +405,7 @@ impl Question {
     ) -> Job {
         let light = document.light();
         let lighting = Arc::new(light.lighting);
-        let name = match &self.name {
-            Some(name) => file_name(name),
-            None => self.automatic_name(document, screen.at),
-        };
+        let name = self.file_name(document, screen.at);
         let [width, height] = self.size;
         let view = with_size(&screen.seen.camera, width, height);
         let shot = |stem: String, camera: Camera| Shot {
@@ -481,8 +488,8 @@ pub(super) fn folder_ui(ui: &mut egui::Ui, folder: Option<&Path>) -> bool {
 fn others_ui(ui: &mut egui::Ui, count: usize) -> Answer {
     let mut answer = Answer::Nothing;
     ui.label(match count {
-        1 => "A file of this name is in the folder already.".to_owned(),
-        n => format!("{n} files of these names are in the folder already."),
+        1 => "A file of this name is in the folder already, or will be.".to_owned(),
+        n => format!("{n} files of these names are in the folder already, or will be."),
     });
     ui.horizontal(|ui| {
         for (name, tip, others) in [
@@ -536,7 +543,7 @@ pub(super) fn buttons(ui: &mut egui::Ui, problem: Option<&str>) -> Answer {
     ui.horizontal(|ui| {
         let button = ui.add_enabled(problem.is_none(), theme::main_button(ui, "Export"));
         if button
-            .on_hover_text("Make the files; it goes on beside other work and can be stopped")
+            .on_hover_text("Make the files; it goes on beside other work and can be stopped. While others are made it waits in line")
             .on_disabled_hover_text(problem.unwrap_or_default())
             .clicked()
         {

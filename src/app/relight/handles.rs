@@ -3,9 +3,10 @@
 use eframe::egui::{self, Color32, Pos2, Rect, Sense, Stroke, Vec2, vec2};
 use glam::{DVec2, DVec3, Vec3};
 
-use super::editing::{Editing, hue, with_lamp};
+use super::editing::{Editing, hue, move_to};
 use super::hemisphere::{MarkStyle, draw_mark, grab, mark_radius};
 use rekindle_capture::Camera;
+use rekindle_scene::hemisphere::from_above_axes;
 use rekindle_studio::{Document, Lamp, LampId};
 
 /// Radius of the handles' sphere in radii of the object.
@@ -92,6 +93,52 @@ impl Sphere {
     }
 }
 
+/// The sphere about a document's object.
+fn sphere_of(document: &Document) -> Sphere {
+    let mesh = &document.solution().mesh;
+    Sphere {
+        centre: mesh.centre().as_dvec3(),
+        radius: REACH * 0.5 * f64::from(mesh.diagonal()),
+    }
+}
+
+/// Draws the hemisphere that the handles are on: the horizon, circles 30° and 60° above it and every 30° of the compass.
+pub(super) fn dome(ui: &egui::Ui, seen: &Seen, document: &Document) {
+    /// Points of a whole circle.
+    const POINTS: i32 = 72;
+    let sphere = sphere_of(document);
+    let up = document.base().lighting.up;
+    let [right, north] = from_above_axes(up);
+    let direction = |azimuth: f32, height: f32| {
+        let flat = azimuth.sin() * right + azimuth.cos() * north;
+        (height.cos() * flat + height.sin() * up).as_dvec3()
+    };
+    let step = std::f32::consts::TAU / POINTS as f32;
+    let painter = ui.painter().with_clip_rect(seen.rect);
+    let eye = seen.camera.position();
+    let arc = |points: Vec<DVec3>, strength: u8| {
+        for pair in points.windows(2) {
+            let ends = [0, 1].map(|i| seen.at(sphere.centre + sphere.radius * pair[i]));
+            if let [Some(from), Some(to)] = ends {
+                let behind = sphere.is_behind(eye, pair[0]);
+                let alpha = if behind { strength / 3 } else { strength };
+                let line = Stroke::new(1.0, Color32::from_white_alpha(alpha));
+                painter.line_segment([from, to], line);
+            }
+        }
+    };
+    for (height, strength) in [(0.0_f32, 110), (30.0, 54), (60.0, 54)] {
+        let height = height.to_radians();
+        let circle = (0..=POINTS).map(|k| direction(k as f32 * step, height));
+        arc(circle.collect(), strength);
+    }
+    for k in 0..12 {
+        let azimuth = k as f32 * std::f32::consts::TAU / 12.0;
+        let quarter = (0..=POINTS / 4).map(|k| direction(azimuth, k as f32 * step));
+        arc(quarter.collect(), if k == 0 { 110 } else { 40 });
+    }
+}
+
 impl Handles {
     /// Shows the handles over the viewport. Returns whether one is held.
     pub(super) fn show(
@@ -101,11 +148,7 @@ impl Handles {
         document: &mut Document,
         editing: &mut Editing,
     ) -> bool {
-        let mesh = &document.solution().mesh;
-        let sphere = Sphere {
-            centre: mesh.centre().as_dvec3(),
-            radius: REACH * 0.5 * f64::from(mesh.diagonal()),
-        };
+        let sphere = sphere_of(document);
         let look = document.look().clone();
         let mut held = None;
         for lamp in &look.lamps {
@@ -194,12 +237,8 @@ impl Handles {
         } else {
             sphere.at(seen.ray(pointer), held.behind)
         };
-        document.begin(&format!("Move {}", lamp.name));
-        document.update(|s, _| {
-            with_lamp(s, lamp.id, |l| {
-                l.direction = place.as_vec3().normalize_or(Vec3::Y);
-            });
-        });
+        let direction = place.as_vec3().normalize_or(Vec3::Y);
+        move_to(document, editing, lamp, direction);
         Some(held)
     }
 }

@@ -5,12 +5,13 @@ use std::sync::Arc;
 use eframe::egui::{self, Color32, Pos2, Sense, Stroke, vec2};
 use glam::{Quat, Vec3};
 
-use super::editing::{Editing, hue, with_lamp};
+use super::compass;
+use super::editing::{Editing, hue, move_to};
 use crate::app::Shared;
 use crate::app::disc::{self, Disc, DiscTexture};
 use rekindle_relight::{LampNodes, LightNode, Lighting, luminance};
 use rekindle_scene::hemisphere::{FromAbove, HemisphereGrid, Picture, from_above_axes};
-use rekindle_studio::{Document, Lamp};
+use rekindle_studio::{Document, Lamp, LampId, Look};
 
 /// Side of the square around a mark that takes the pointer, points.
 const GRIP: f32 = 18.0;
@@ -38,11 +39,12 @@ impl LitDisc {
         FromAbove::new(grid, SIDE)
     }
 
-    /// Shows the disc as wide as `side`.
+    /// Shows the disc as wide as `side`; the viewer is in the direction `towards` from the object.
     pub(super) fn show(
         &mut self,
         ui: &mut egui::Ui,
         side: f32,
+        towards: Vec3,
         document: &mut Document,
         editing: &mut Editing,
         shared: &mut Shared<'_>,
@@ -69,17 +71,64 @@ impl LitDisc {
         let (response, disc) = ui
             .vertical_centered(|ui| {
                 let name = "Lit hemisphere";
-                disc::show(ui, texture, solution.grid.up, side, Sense::CLICK, name)
+                let sense = Sense::CLICK | Sense::DRAG;
+                disc::show(ui, texture, solution.grid.up, side, sense, name)
             })
             .inner;
         if response.clicked() {
             editing.select(None);
         }
+        rubber_band(ui, &response, &disc, document.look(), editing);
+        compass::wedge(ui, &disc, towards);
+        let viewer = compass::told(towards, disc.up);
+        ui.ctx()
+            .accesskit_node_builder(response.id, |node| node.set_description(viewer.clone()));
         disc::direction_tip(response, &disc);
         let look = document.look().clone();
         for lamp in &look.lamps {
             mark(ui, document, editing, &disc, lamp, look.is_dark(lamp));
         }
+    }
+}
+
+/// Selects the lamps that a rectangle, drawn from beside the marks, holds; with Ctrl or Shift they are added.
+fn rubber_band(
+    ui: &egui::Ui,
+    response: &egui::Response,
+    disc: &Disc,
+    look: &Look,
+    editing: &mut Editing,
+) {
+    let (origin, to, adds) = ui.input(|i| {
+        let pointer = &i.pointer;
+        let adds = i.modifiers.command || i.modifiers.shift;
+        (pointer.press_origin(), pointer.interact_pos(), adds)
+    });
+    if response.drag_started() {
+        editing.band = origin;
+    }
+    let (Some(from), Some(to)) = (editing.band, to) else {
+        return;
+    };
+    let band = egui::Rect::from_two_pos(from, to);
+    if response.dragged() {
+        let line = Stroke::new(1.0, Color32::WHITE);
+        let inside = egui::StrokeKind::Inside;
+        ui.painter().rect_stroke(band, 0.0, line, inside);
+    }
+    if response.drag_stopped() {
+        editing.band = None;
+        let held = look.lamps.iter();
+        let held = held.filter(|l| band.contains(place(disc, l.direction).0));
+        let held: Vec<LampId> = held.map(|l| l.id).collect();
+        let mut lamps = if adds {
+            editing.selection(look)
+        } else {
+            Vec::new()
+        };
+        lamps.retain(|id| !held.contains(id));
+        lamps.extend(held);
+        editing.select_all(lamps);
     }
 }
 
@@ -117,9 +166,7 @@ fn mark(
         .interact_pointer_pos()
         .filter(|_| response.dragged())
     {
-        let direction = disc.direction(pointer);
-        document.begin(&format!("Move {}", lamp.name));
-        document.update(|s, _| with_lamp(s, lamp.id, |l| l.direction = direction));
+        move_to(document, editing, lamp, disc.direction(pointer));
     }
     let selected = editing.is_selected(lamp.id);
     let lit = editing.lit == Some(lamp.id);
@@ -139,7 +186,7 @@ fn mark(
     response.on_hover_text(format!("{}{where_it_is}: drag to move", lamp.name));
 }
 
-/// Selects a lamp whose mark is pressed, lights up one that the pointer is at, and moves one that has the focus by the arrow
+/// Selects a lamp whose mark is pressed (with Ctrl or Shift beside those that are selected), lights up one that the pointer is at, and moves one that has the focus by the arrow
 /// keys.
 pub(super) fn grab(
     ui: &egui::Ui,
@@ -154,7 +201,12 @@ pub(super) fn grab(
         editing.hovered = Some(lamp.id);
     }
     if response.clicked() || response.drag_started() {
-        editing.select(Some(lamp.id));
+        let adds = ui.input(|i| i.modifiers.command || i.modifiers.shift);
+        if response.clicked() && adds {
+            editing.toggle(lamp.id);
+        } else if response.clicked() || !editing.is_selected(lamp.id) {
+            editing.select(Some(lamp.id));
+        }
         response.request_focus();
     }
     if !response.has_focus() {
@@ -173,11 +225,9 @@ pub(super) fn grab(
     let (turn, rise) = (STEP * (left - right), STEP * (up - down));
     if turn != 0.0 || rise != 0.0 {
         let pole = document.base().lighting.up;
-        let label = format!("Move {}", lamp.name);
         let direction = nudged(lamp.direction, pole, turn, rise);
-        document.edit(&label, |s, _| {
-            with_lamp(s, lamp.id, |l| l.direction = direction);
-        });
+        move_to(document, editing, lamp, direction);
+        document.commit();
     }
 }
 
@@ -196,9 +246,9 @@ fn nudged(direction: Vec3, pole: Vec3, turn: f32, rise: f32) -> Vec3 {
 
 /// Radius of a lamp's mark: its area grows with the lamp's flux, up to that of the look's strongest.
 pub(super) fn mark_radius(document: &Document, lamp: &Lamp) -> f32 {
-    let base = document.base();
-    let strength = |lamp: &Lamp| luminance(base.flux(lamp));
-    let most = document.look().lamps.iter().map(strength);
+    let (base, look) = (document.base(), document.look());
+    let strength = |lamp: &Lamp| luminance(base.flux(&look.as_lit(lamp)));
+    let most = look.lamps.iter().map(strength);
     let part = strength(lamp) / most.fold(f32::MIN_POSITIVE, f32::max);
     MARKS[1] + (MARKS[0] - MARKS[1]) * part.clamp(0.0, 1.0).sqrt()
 }

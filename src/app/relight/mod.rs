@@ -1,18 +1,23 @@
 //! The page on which the object is relit.
 //!
-//! The document is changed by [`looks`], [`lamps`], [`surroundings`] and [`hemisphere`] on the left, and over the viewport by
-//! [`handles`] and [`pointing`]. They share what is selected ([`editing`]), and every change goes through the document's
-//! history. [`exporting`] writes pictures, [`programs`] the object and its light for other programs.
+//! The document is changed by [`looks`], [`lamps`] (shown by [`list`] and [`lamp_settings`]), [`surroundings`] and
+//! [`hemisphere`] on the left, and over the viewport by [`handles`] and [`pointing`]. They share what is selected
+//! ([`editing`]), and every change goes through the document's history, which [`steps`] shows. [`compass`] says where the
+//! viewer is. [`exporting`] writes pictures, [`programs`] the object and its light for other programs.
 
+mod compass;
 mod editing;
 mod exporting;
 mod handles;
 mod hemisphere;
+mod lamp_settings;
 mod lamps;
+mod list;
 mod looks;
 mod photographs;
 mod pointing;
 mod programs;
+mod steps;
 mod surroundings;
 #[cfg(test)]
 mod tests;
@@ -26,6 +31,7 @@ use eframe::egui;
 use glam::Vec3;
 
 use super::commands::Action;
+use super::exports::Exports;
 use super::viewport::{Object, Scene, Viewport};
 use super::{Request, Shared, result, theme};
 use crate::worker::{Command, Latest, Purpose, Rendered, Subject, Worker};
@@ -39,7 +45,7 @@ use programs::Programs;
 use rekindle_capture::{Camera, Capture};
 use rekindle_output::export::Job;
 use rekindle_scene::hemisphere::FromAbove;
-use rekindle_studio::{Document, Place};
+use rekindle_studio::{Document, Group, GroupId, Place};
 use surroundings::Probes;
 use whereabouts::Viewer;
 
@@ -69,8 +75,12 @@ pub(super) enum Problem {
 /// An export under way.
 #[derive(Clone, Debug)]
 pub(super) struct Export {
+    /// What it is called in the line.
+    pub(super) name: String,
     /// Where to.
     pub(super) folder: PathBuf,
+    /// The pictures that it will write.
+    pub(super) files: Vec<PathBuf>,
     /// Millions of pixels that it makes; none where it is of other things, too.
     pub(super) megapixels: Option<f64>,
     /// Files that are there if it is stopped.
@@ -96,6 +106,8 @@ pub struct Relighting {
     /// The question that was answered last, while a folder is chosen and the files are made.
     answered: Asked,
     programs: Programs,
+    /// Whether the list of steps is shown.
+    history: bool,
 }
 
 impl Relighting {
@@ -125,6 +137,7 @@ impl Relighting {
             question: None,
             answered: Asked::Pictures,
             programs: Programs::default(),
+            history: false,
         }
     }
 
@@ -187,7 +200,11 @@ impl Relighting {
     /// Why a command about lamps and looks can't be given, if it can't.
     pub(super) fn obstacle(&self, action: Action) -> Option<&'static str> {
         let (possible, why_not) = match action {
-            Action::AddLamp | Action::NextLamp | Action::NextLook => return None,
+            Action::AddLamp
+            | Action::NextLamp
+            | Action::AlsoNextLamp
+            | Action::NextLook
+            | Action::History => return None,
             Action::CompareCaptured => (
                 looks::is_comparable(&self.document),
                 "There is only the captured light so far.",
@@ -195,6 +212,18 @@ impl Relighting {
             Action::ResetLamp => (
                 lamps::can_reset(&self.document, &self.editing),
                 lamps::NO_RESET,
+            ),
+            Action::SelectAllLamps => (
+                !self.document.look().lamps.is_empty(),
+                "This setup has no lights.",
+            ),
+            Action::GroupLamps => (
+                self.editing.selection(self.document.look()).len() > 1,
+                "Select two lights or more first: with Ctrl, Shift or a rectangle on the hemisphere.",
+            ),
+            Action::UngroupLamps => (
+                self.selected_groups().next().is_some(),
+                "No selected light is in a group.",
             ),
             _ => (
                 self.editing.selected(self.document.look()).is_some(),
@@ -206,34 +235,49 @@ impl Relighting {
 
     /// Carries out a command about lamps and looks.
     pub(super) fn act(&mut self, action: Action) {
-        let selected = self.editing.selected(self.document.look()).map(|l| l.id);
+        let selected = self.editing.selection(self.document.look());
+        let groups: Vec<GroupId> = self.selected_groups().collect();
         let (document, editing) = (&mut self.document, &mut self.editing);
-        match (action, selected) {
-            (Action::AddLamp, _) => lamps::add(document, editing),
-            (Action::NextLamp, _) => {
-                let lamps = lamps::by_contribution(document);
-                let at = lamps.iter().position(|l| Some(l.id) == selected);
-                let next = lamps.get(at.map_or(0, |at| at + 1)).or(lamps.first());
-                editing.select(next.map(|l| l.id));
-            }
-            (Action::NextLook, _) => looks::next(document),
-            (Action::CompareCaptured, _) => looks::compare(document, editing),
-            (Action::ResetLamp, Some(id)) => lamps::reset(document, id),
-            (Action::Export, _) => self.question = Some(Asked::Pictures),
-            (Action::ExportObject, _) => self.question = Some(Asked::Programs),
-            (Action::ExportWeb, _) => {
+        match action {
+            Action::AddLamp => lamps::add(document, editing),
+            Action::NextLamp => editing.select_next(document, false),
+            Action::AlsoNextLamp => editing.select_next(document, true),
+            Action::SelectAllLamps => editing.select_all(list::order(&list::lines(document))),
+            Action::GroupLamps => lamps::group(document, editing),
+            Action::UngroupLamps => lamps::ungroup(document, &groups),
+            Action::NextLook => looks::next(document),
+            Action::History => self.history = !self.history,
+            Action::CompareCaptured => looks::compare(document, editing),
+            Action::ResetLamp => lamps::reset(document, &selected),
+            Action::Export => self.question = Some(Asked::Pictures),
+            Action::ExportObject => self.question = Some(Asked::Programs),
+            Action::ExportWeb => {
                 self.programs.choose_web_page();
                 self.question = Some(Asked::Programs);
             }
-            (Action::MuteLamp, Some(id)) => lamps::mute(document, id),
-            (Action::SoloLamp, Some(id)) => lamps::solo(document, id),
-            (Action::DuplicateLamp, Some(id)) => lamps::duplicate(document, editing, id),
-            (Action::DeleteLamp, Some(id)) => lamps::delete(document, editing, id),
-            (Action::PlaceHighlight, _) => editing.place.0 = Place::Highlight,
-            (Action::PlaceBrightest, _) => editing.place.0 = Place::Brightest,
-            (Action::PlaceRim, _) => editing.place.0 = Place::Rim,
+            Action::MuteLamp => lamps::mute(document, &selected),
+            Action::SoloLamp => lamps::solo(document, &selected),
+            Action::DuplicateLamp => lamps::duplicate(document, editing, &selected),
+            Action::DeleteLamp => lamps::delete(document, editing, &selected),
+            Action::PlaceHighlight => editing.place.0 = Place::Highlight,
+            Action::PlaceBrightest => editing.place.0 = Place::Brightest,
+            Action::PlaceRim => editing.place.0 = Place::Rim,
             _ => {}
         }
+    }
+
+    /// The groups that selected lamps are in.
+    fn selected_groups(&self) -> impl Iterator<Item = GroupId> {
+        let look = self.document.look();
+        let selected = self.editing.selection(look);
+        let of = |group: &Group| {
+            look.members(group.id)
+                .iter()
+                .any(|id| selected.contains(id))
+        };
+        let groups = look.groups.iter().filter(|group| of(group));
+        let groups: Vec<GroupId> = groups.map(|group| group.id).collect();
+        groups.into_iter()
     }
 
     /// A light probe was chosen.
@@ -258,10 +302,17 @@ impl Relighting {
     }
 
     /// The command that exports as was asked, and what is to be known of it.
-    pub(super) fn export(&self, question: &Question, others: Others) -> Option<(Command, Export)> {
+    pub(super) fn export(
+        &self,
+        question: &Question,
+        others: Others,
+        exports: &Exports,
+    ) -> Option<(Command, Export)> {
         let folder = question.folder.clone()?;
         let mut export = Export {
+            name: "Files for other programs".to_owned(),
             folder,
+            files: Vec::new(),
             megapixels: None,
             kept: Arc::default(),
         };
@@ -274,8 +325,10 @@ impl Relighting {
         }
         let mut job = self.pictures(question, &export.folder)?;
         if others == Others::Kept {
-            job = job.beside_others();
+            job = job.beside_others(|file| is_taken(file, exports));
         }
+        export.name = question.file_name(&self.document, self.viewport.at());
+        export.files = job.files().collect();
         export.megapixels = Some(exporting::megapixels(&job));
         let kept = Arc::clone(&export.kept);
         Some((
@@ -328,7 +381,11 @@ impl Relighting {
         result::panel(ui, self.document.solution(), shared);
         egui::CentralPanel::default()
             .frame(theme::stage())
-            .show(ui, |ui| self.stage_ui(ui, shared));
+            .show(ui, |ui| {
+                let stage = ui.max_rect();
+                self.stage_ui(ui, shared);
+                self.history = self.history && steps::show(ui.ctx(), stage, &mut self.document);
+            });
         self.question_ui(ui.ctx(), shared);
         let typing = ui.ctx().text_edit_focused();
         if !typing && self.question.is_none() && ui.input(|i| i.key_pressed(egui::Key::Escape)) {
@@ -365,11 +422,11 @@ impl Relighting {
         let room = ui.available_height() - LEAST_LIST;
         let side = room.clamp(LEAST_DISC, MOST_DISC * ui.ctx().content_rect().height());
         let side = side.min(ui.available_width());
-        self.disc.show(ui, side, document, editing, shared);
+        self.disc.show(ui, side, towards, document, editing, shared);
         ui.add_space(theme::GAP * 0.5);
         theme::group(ui, "Lights");
         lamps::buttons(ui, document, editing);
-        lamps::list(ui, document, editing, &viewer);
+        list::show(ui, document, editing, &viewer);
     }
 
     /// Settings of the selected light, or of the surroundings.
@@ -377,8 +434,8 @@ impl Relighting {
         let (document, editing) = (&mut self.document, &mut self.editing);
         ui.add_space(6.0);
         ui.horizontal(|ui| {
-            let lamp = editing.selected(document.look());
-            let name = lamp.map_or("Selected light", |l| l.name.as_str());
+            let name = editing.called(document.look());
+            let name = name.as_deref().unwrap_or("Selected light");
             let name = egui::RichText::new(name).strong();
             let own = egui::Button::selectable(!editing.surroundings, name).truncate();
             let own = ui.add(own).accessible_name("Settings of the light");
@@ -398,7 +455,7 @@ impl Relighting {
         if editing.surroundings {
             surroundings::show(ui, document, &self.probes, shared);
         } else {
-            lamps::settings(ui, document, editing);
+            lamp_settings::show(ui, document, editing);
         }
     }
 
@@ -455,6 +512,11 @@ impl Relighting {
         if self.viewport.compares() {
             return;
         }
+        let towards = self.towards_viewer();
+        compass::show(ui, &seen, &self.document, towards);
+        if shared.settings.dome {
+            handles::dome(ui, &seen, &self.document);
+        }
         let (document, editing) = (&mut self.document, &mut self.editing);
         let held = self.handles.show(ui, &seen, document, editing);
         self.pointing
@@ -494,6 +556,13 @@ impl Relighting {
         let cameras = self.viewport.cameras();
         let automatic = question.automatic_name(&self.document, self.viewport.at());
         let job = |question: &Question, folder: &Path| self.pictures(question, folder);
-        question.show(ctx, cameras, lamp.as_deref(), &automatic, job)
+        let exports = shared.exports;
+        let taken = |file: &Path| is_taken(file, exports);
+        question.show(ctx, cameras, lamp.as_deref(), &automatic, job, taken)
     }
+}
+
+/// Whether a file is there, or will be once all exports are made.
+fn is_taken(file: &Path, exports: &Exports) -> bool {
+    file.exists() || exports.will_write(file)
 }

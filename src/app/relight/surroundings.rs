@@ -6,7 +6,7 @@ use std::sync::Arc;
 use eframe::egui;
 
 use super::editing::undoable;
-use super::lamps::{LABELS, fit_sliders};
+use super::lamp_settings::{LABELS, fit_sliders};
 use crate::app::Shared;
 use crate::worker::{Latest, Purpose};
 use rekindle_relight::ProbeUnits;

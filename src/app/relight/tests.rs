@@ -556,6 +556,14 @@ fn many_lights_are_listed_by_what_they_contribute() {
         share.contains("left") && share.contains("% of the light"),
         "{share}"
     );
+    // From where it is looked at is told, on the disc and over the object.
+    let disc = window.get_by_label("Lit hemisphere");
+    let viewer = disc.accesskit_node().description().expect("a description");
+    assert!(viewer.starts_with("You look from the "), "{viewer}");
+    assert!(has_part(
+        &window,
+        &format!("Compass: {}", viewer.to_lowercase())
+    ));
     // The list scrolls by itself; the settings stay where they are.
     for _ in 0..20 {
         key(&mut window, Modifiers::NONE, egui::Key::A);
@@ -603,7 +611,7 @@ fn the_palette_says_why_a_command_cannot_be_given() {
         .type_text("solo light");
     window.run_steps(2);
     key(&mut window, Modifiers::NONE, egui::Key::Enter);
-    assert_eq!(document(&window).look().solo, Some(LampId(1)));
+    assert_eq!(document(&window).look().solo, [LampId(1)]);
 }
 
 /// Names of the files in a folder, in order.
@@ -642,7 +650,10 @@ fn exports_are_named_asked_about_and_remembered() {
         has_part(w, "One picture, 0.0 megapixels, at most 1 MB; about ")
     });
     click(&mut window, "Export");
-    wait_for(&mut window, "A file of this name is in the folder already.");
+    wait_for(
+        &mut window,
+        "A file of this name is in the folder already, or will be.",
+    );
     click(&mut window, "Keep both");
     wait(&mut window, "a second file", |_| files(&target).len() == 2);
     wait(&mut window, "its end", |w| w.state().job.is_none());
@@ -708,4 +719,280 @@ fn a_stopped_export_keeps_the_frames_that_were_finished() {
     );
     let said = format!("Files of finished pictures that were kept: {}.", kept.len());
     assert!(has_part(&window, &said));
+}
+
+/// Clicks with keys held.
+fn click_with(window: &mut Window, modifiers: Modifiers, label: &str) {
+    window.get_by_label(label).click_modifiers(modifiers);
+    window.run_steps(3);
+}
+
+fn muted(window: &Window) -> Vec<bool> {
+    let look = document(window).look();
+    look.lamps.iter().map(|l| look.is_dark(l)).collect()
+}
+
+#[test]
+fn several_lights_are_selected_and_changed_together() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    let start = document(&window).state().clone();
+    // With Ctrl one after the other, with Shift all between.
+    click(&mut window, "Light 1");
+    click_with(&mut window, Modifiers::COMMAND, "Light 3");
+    key(&mut window, Modifiers::NONE, egui::Key::M);
+    assert_eq!(muted(&window), [true, false, true]);
+    assert_eq!(document(&window).undo_label(), Some("Mute 2 lights"));
+    key(&mut window, Modifiers::NONE, egui::Key::M);
+    assert_eq!(muted(&window), [false; 3]);
+    click(&mut window, "Light 1");
+    click_with(&mut window, Modifiers::SHIFT, "Light 3");
+    set(&mut window, "Intensity", 1.5);
+    let stops = |w: &Window| [0, 1, 2].map(|id| lamp(w, id).stops);
+    assert_eq!(stops(&window), [1.5; 3]);
+    assert_eq!(
+        document(&window).undo_label(),
+        Some("Intensity of 3 lights")
+    );
+    click_with(&mut window, Modifiers::COMMAND, "Light 1");
+    set(&mut window, "Intensity", 0.5);
+    assert_eq!(stops(&window), [1.5, 0.5, 0.5]);
+    // Those that differ keep their differences.
+    key(&mut window, Modifiers::COMMAND, egui::Key::A);
+    set(&mut window, "Intensity", 2.0);
+    let [first, second, third] = stops(&window);
+    assert!(
+        second == third && (first - second).abs() == 1.0,
+        "{first} {second} {third}"
+    );
+    click(&mut window, "Temperature");
+    set(&mut window, "Colour temperature", 3000.0);
+    let warm = rekindle_studio::Colour::Kelvin(3000.0);
+    assert!([0, 1, 2].iter().all(|id| lamp(&window, *id).colour == warm));
+
+    // One mark is dragged: all turn with it, rigidly.
+    let before = [0, 1, 2].map(|id| lamp(&window, id).direction);
+    let mark = window.get_by_label("Light 1 on the hemisphere").rect();
+    let disc = window.get_by_label("Lit hemisphere").rect();
+    drag(
+        &mut window,
+        mark.center(),
+        disc.center() + vec2(0.1, -0.1) * disc.width(),
+    );
+    let after = [0, 1, 2].map(|id| lamp(&window, id).direction);
+    assert_eq!(document(&window).undo_label(), Some("Move 3 lights"));
+    for (a, b) in [(0, 1), (1, 2), (0, 2)] {
+        assert!(before[a].angle_between(after[a]) > 0.05, "moved");
+        let apart = before[a].angle_between(before[b]) - after[a].angle_between(after[b]);
+        assert!(
+            apart.abs() < 1e-3,
+            "they stay as far from each other: {apart}"
+        );
+    }
+    // To the left of what is marked, by a rectangle: only the light there.
+    key(&mut window, Modifiers::NONE, egui::Key::Escape);
+    let mark = window.get_by_label("Light 2 on the hemisphere").rect();
+    drag(
+        &mut window,
+        mark.center() - vec2(16.0, 16.0),
+        mark.center() + vec2(14.0, 14.0),
+    );
+    key(&mut window, Modifiers::NONE, egui::Key::Delete);
+    let left = document(&window).look().lamps.iter().map(|l| l.id.0);
+    assert_eq!(left.collect::<Vec<_>>(), [0, 2]);
+    key(&mut window, Modifiers::NONE, egui::Key::N);
+    key(&mut window, Modifiers::SHIFT, egui::Key::N);
+    key(&mut window, Modifiers::SHIFT, egui::Key::D);
+    assert_eq!(document(&window).look().lamps.len(), 4);
+    key(&mut window, Modifiers::NONE, egui::Key::S);
+    assert_eq!(document(&window).look().solo.len(), 2);
+    assert_eq!(document(&window).undo_label(), Some("Solo 2 lights"));
+    window.check_accessibility();
+    while document(&window).undo_label().is_some() {
+        key(&mut window, Modifiers::COMMAND, egui::Key::Z);
+    }
+    assert!(document(&window).state() == &start);
+}
+
+#[test]
+fn lights_are_grouped_set_together_and_come_back_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    let brightness = |w: &Window, lamp: usize| {
+        rekindle_relight::luminance(document(w).light().lighting.lamps[lamp].flux())
+    };
+    let before = [0, 1, 2].map(|lamp| brightness(&window, lamp));
+    click(&mut window, "Light 1");
+    click_with(&mut window, Modifiers::COMMAND, "Light 2");
+    key(&mut window, Modifiers::COMMAND, egui::Key::G);
+    assert_eq!(document(&window).undo_label(), Some("Group lights"));
+    let row = window.get_by_label("Group 1");
+    let described = row.accesskit_node().description().expect("a description");
+    assert!(described.contains("2 lights"), "{described}");
+    // The group is selected: its intensity is its own, beside that of its lights.
+    set(&mut window, "Intensity", -1.0);
+    assert_eq!(document(&window).undo_label(), Some("Intensity of Group 1"));
+    assert_eq!(lamp(&window, 0).stops, 0.0);
+    for (lamp, part) in [(0, 0.5), (1, 0.5), (2, 1.0)] {
+        let now = brightness(&window, lamp);
+        assert!((now / before[lamp] - part).abs() < 1e-4, "{lamp}: {now}");
+    }
+    // Folded, its lights have no rows.
+    click(&mut window, "Fold Group 1");
+    assert!(window.query_by_label("Light 1").is_none());
+    assert!(window.query_by_label("Light 3").is_some());
+    click(&mut window, "Mute Group 1");
+    assert_eq!(muted(&window), [true, true, false]);
+    click(&mut window, "Mute Group 1");
+    click(&mut window, "Solo Group 1");
+    assert_eq!(muted(&window), [false, false, true]);
+    click(&mut window, "Solo Group 1");
+    assert_eq!(muted(&window), [false; 3]);
+    // Its name is typed where it stands.
+    window.get_by_label("Group 1").click_secondary();
+    window.run_steps(3);
+    click(&mut window, "Rename");
+    key(&mut window, Modifiers::COMMAND, egui::Key::A);
+    window
+        .get_by_label("Name of the group")
+        .type_text("Windows");
+    window.run_steps(2);
+    key(&mut window, Modifiers::NONE, egui::Key::Enter);
+    assert_eq!(document(&window).look().groups[0].name, "Windows");
+    window.check_accessibility();
+    key(&mut window, Modifiers::COMMAND, egui::Key::S);
+    give_path(&mut window, &folder.path().join("evening"));
+    wait_for(&mut window, "Saved");
+    drop(window);
+
+    let mut window = self::window(&folder.path().join("evening.rekindle"));
+    assert!(window.query_by_label("Unfold Windows").is_some());
+    assert!((brightness(&window, 0) / before[0] - 0.5).abs() < 1e-4);
+    click(&mut window, "Unfold Windows");
+    click(&mut window, "Windows");
+    key(
+        &mut window,
+        Modifiers::COMMAND | Modifiers::SHIFT,
+        egui::Key::G,
+    );
+    assert!(document(&window).look().groups.is_empty());
+    assert!((brightness(&window, 0) / before[0] - 0.5).abs() < 1e-4);
+    assert_eq!(lamp(&window, 0).stops, -1.0, "the light stays");
+    key(&mut window, Modifiers::COMMAND, egui::Key::Z);
+    click(&mut window, "Windows");
+    key(&mut window, Modifiers::NONE, egui::Key::Delete);
+    assert_eq!(document(&window).look().lamps.len(), 1);
+    assert!(document(&window).look().groups.is_empty());
+}
+
+#[test]
+fn the_history_lists_every_step_and_goes_to_any() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    key(&mut window, Modifiers::COMMAND, egui::Key::H);
+    assert!(window.query_by_label("As it was opened").is_some());
+    click(&mut window, "Mute Light 1");
+    click(&mut window, "Light 2");
+    set(&mut window, "Intensity", 1.5);
+    set(&mut window, "Softness", 12.0);
+    let soft = document(&window).state().clone();
+    // Back to the first step, from there to the last, and to the beginning.
+    click(&mut window, "Mute light");
+    assert!(lamp(&window, 0).muted);
+    assert_eq!(lamp(&window, 1).stops, 0.0);
+    assert_eq!(document(&window).redo_label(), Some("Intensity of Light 2"));
+    click(&mut window, "Softness of Light 2");
+    assert!(document(&window).state() == &soft);
+    click(&mut window, "As it was opened");
+    assert!(!document(&window).is_modified());
+    // Another change takes the place of what was undone.
+    click(&mut window, "Mute Light 3");
+    assert!(window.query_by_label("Softness of Light 2").is_none());
+    window.check_accessibility();
+    click(&mut window, "Close the history");
+    assert!(window.query_by_label("As it was opened").is_none());
+}
+
+#[test]
+fn typed_paths_may_be_relative_to_the_folder_that_is_shown() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    key(&mut window, Modifiers::COMMAND, egui::Key::S);
+    wait_for(&mut window, "Use this path");
+    let shown = format!("In {}", folder.path().display());
+    assert!(window.query_by_label(&shown).is_some());
+    window.get_by_label("Path").type_text("light/evening");
+    window.run_steps(2);
+    let place = folder.path().join("light/evening");
+    let says = format!("This is {}", place.display());
+    assert!(window.query_by_label(&says).is_some());
+    click(&mut window, "Use this path");
+    wait_for(&mut window, "Saved");
+    assert!(place.with_extension("rekindle").is_file());
+}
+
+/// Asks for a turn of `frames` pictures into a folder that was chosen before.
+fn export_turn(window: &mut Window, frames: f64, name: &str) {
+    key(window, Modifiers::COMMAND, egui::Key::E);
+    wait_for(window, "Choose folder…");
+    set(window, "Frames", frames);
+    let field = window.get_by_role_and_label(egui::Role::TextInput, "Name");
+    field.focus();
+    window.run_steps(2);
+    key(window, Modifiers::COMMAND, egui::Key::A);
+    let field = window.get_by_role_and_label(egui::Role::TextInput, "Name");
+    field.type_text(name);
+    window.run_steps(2);
+    click(window, "Export");
+}
+
+#[test]
+fn exports_wait_in_line_and_a_stop_goes_on_with_the_next() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = window(&saved_solution(folder.path()));
+    key(&mut window, Modifiers::COMMAND, egui::Key::E);
+    wait_for(&mut window, "Choose folder…");
+    click(&mut window, "A turn around the object");
+    set(&mut window, "Width", 120.0);
+    set(&mut window, "Height", 90.0);
+    click(&mut window, "Animated PNG");
+    click(&mut window, "Choose folder…");
+    let target = folder.path().join("films");
+    give_path(&mut window, &target);
+    click(&mut window, "Cancel");
+    export_turn(&mut window, 1000.0, "long");
+    wait(&mut window, "a second frame", |w| {
+        has_part(w, "Exporting long_0002")
+    });
+    export_turn(&mut window, 2.0, "short");
+    export_turn(&mut window, 1000.0, "never");
+    // The same name again would replace what is yet to be made: that is asked.
+    export_turn(&mut window, 2.0, "short");
+    wait(&mut window, "the question", |w| has_part(w, "or will be."));
+    click(&mut window, "Keep both");
+    click(&mut window, "3 waiting");
+    assert!(window.query_by_label("Progress of long").is_some());
+    click(&mut window, "Remove never");
+    window.check_accessibility();
+    window
+        .get_all_by_label("Stop")
+        .next()
+        .expect("the button")
+        .click();
+    wait(&mut window, "the end of all", |w| w.state().job.is_none());
+    let made = files(&target);
+    let of = |name: &str| made.iter().filter(|f| f.starts_with(name)).count();
+    assert!(
+        (2..1000).contains(&of("long_")),
+        "finished frames are kept: {made:?}"
+    );
+    assert_eq!((of("short_"), of("never_")), (4, 0), "{made:?}");
+
+    // All at once.
+    export_turn(&mut window, 1000.0, "a");
+    export_turn(&mut window, 1000.0, "b");
+    click(&mut window, "1 waiting");
+    click(&mut window, "Stop all");
+    wait(&mut window, "the end of all", |w| w.state().job.is_none());
+    assert!(!files(&target).iter().any(|f| f.starts_with("b_")));
 }

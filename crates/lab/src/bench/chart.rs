@@ -23,7 +23,7 @@ const LETTER: i32 = 7;
 const MOST_DECADES: i32 = 6;
 
 /// A picture in the making.
-pub(crate) struct Panel {
+pub struct Panel {
     /// Above it.
     pub caption: String,
     /// To the right.
@@ -35,7 +35,7 @@ pub(crate) struct Panel {
 }
 
 /// What is drawn along a side, with its name.
-pub(crate) enum Axis {
+pub enum Axis {
     /// A logarithm from one whole power of ten to another.
     Decades(String),
     /// A logarithm with marks at these values, which ascend.
@@ -44,10 +44,12 @@ pub(crate) enum Axis {
     Places(String, Vec<String>),
     /// From minus to plus this, zero in the middle; what lies beyond is drawn at the edge.
     AroundZero(String, f64),
+    /// From the least to the greatest value, with round numbers between.
+    Linear(String),
 }
 
 /// Points joined by lines.
-pub(crate) struct Curve {
+pub struct Curve {
     /// In the picture's legend; there is none without names.
     pub name: String,
     /// From left to right.
@@ -56,7 +58,7 @@ pub(crate) struct Curve {
 
 /// A point of a curve.
 #[derive(Clone, Copy)]
-pub(crate) struct Dot {
+pub struct Dot {
     /// To the right.
     pub x: f64,
     /// Upward.
@@ -67,7 +69,7 @@ pub(crate) struct Dot {
 
 impl Dot {
     /// A point without a bar.
-    pub(crate) fn new(x: f64, y: f64) -> Self {
+    pub fn new(x: f64, y: f64) -> Self {
         Self {
             x,
             y,
@@ -77,7 +79,7 @@ impl Dot {
 }
 
 /// Draws panels side by side, row by row, up to `columns` in a row; `size` is that of each in pixels.
-pub(crate) fn draw(panels: &[Panel], columns: usize, size: [u32; 2]) -> io::Result<String> {
+pub fn draw(panels: &[Panel], columns: usize, size: [u32; 2]) -> io::Result<String> {
     let columns = columns.min(panels.len()).max(1);
     let rows = panels.len().div_ceil(columns);
     let legend = LEGEND * u32::from(!legend_of(panels).is_empty());
@@ -153,8 +155,12 @@ impl Panel {
             .draw()?;
         for (curve, colour) in self.curves.iter().zip(COLOURS.into_iter().cycle()) {
             let style = colour.stroke_width(2);
-            let line = curve.points.iter().map(|p| (p.x, p.y));
-            chart.draw_series(LineSeries::new(line, style))?;
+            // What is not a number breaks the curve.
+            let gap = |p: &Dot| !(p.x.is_finite() && p.y.is_finite());
+            for stretch in curve.points.split(gap) {
+                let line = stretch.iter().map(|p| (p.x, p.y));
+                chart.draw_series(LineSeries::new(line, style).point_size(2))?;
+            }
             let bars = curve.points.iter().filter_map(|p| {
                 let [low, high] = p.interval?;
                 let ends = [low, high].map(|end| (p.x, end));
@@ -227,13 +233,15 @@ impl Axis {
             Self::Decades(name)
             | Self::Values(name, _)
             | Self::Places(name, _)
-            | Self::AroundZero(name, _) => name,
+            | Self::AroundZero(name, _)
+            | Self::Linear(name) => name,
         }
     }
 
     fn ruler(&self, drawn: impl Iterator<Item = f64>) -> Ruler {
         match self {
             Self::Decades(_) => decades(drawn),
+            Self::Linear(_) => linear(drawn),
             Self::Values(_, values) => {
                 let marks: Vec<(f64, String)> =
                     values.iter().map(|v| (v.log10(), number(*v))).collect();
@@ -286,6 +294,36 @@ fn decades(values: impl Iterator<Item = f64>) -> Ruler {
     }
 }
 
+/// Round numbers around the values.
+fn linear(values: impl Iterator<Item = f64>) -> Ruler {
+    /// Marks at most.
+    const MOST: f64 = 6.0;
+    let values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
+    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let (least, most) = if values.is_empty() {
+        (0.0, 1.0)
+    } else {
+        // Without any extent it is drawn in the middle.
+        let margin = (0.04 * (most - least)).max(1e-6 * most.abs()).max(1e-12);
+        (least - margin, most + margin)
+    };
+    let rough = (most - least) / MOST;
+    let power = 10.0_f64.powf(rough.log10().floor());
+    let steps = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * power);
+    let step = steps.into_iter().find(|s| *s >= rough).unwrap_or(rough);
+    let marks = (least / step).ceil() as i64..=(most / step).floor() as i64;
+    let digits = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
+    Ruler {
+        logarithmic: false,
+        ends: least..most,
+        marks: marks
+            .map(|k| k as f64 * step)
+            .map(|value| (value, format!("{value:.digits$}")))
+            .collect(),
+    }
+}
+
 /// A number in few characters.
 pub(crate) fn number(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
@@ -311,6 +349,20 @@ mod tests {
         assert_eq!(ruler.map(&0.0, (0, 300)), 0, "zero is drawn at the edge");
         let long = decades([1e-9, 1e9].into_iter());
         assert!(long.marks.len() <= 7, "{}", long.marks.len());
+    }
+
+    #[test]
+    fn linear_axes_have_round_numbers() {
+        let ruler = linear([0.071, f64::NAN, 0.0745].into_iter());
+        let marks: Vec<&str> = ruler
+            .marks
+            .iter()
+            .map(|(_, label)| label.as_str())
+            .collect();
+        assert_eq!(marks, ["0.071", "0.072", "0.073", "0.074"]);
+        assert!(ruler.ends.start < 0.071 && ruler.ends.end > 0.0745);
+        let one = linear([5.0].into_iter());
+        assert_eq!(one.map(&5.0, (0, 100)), 50);
     }
 
     #[test]

@@ -16,7 +16,8 @@ mod table;
 mod truth;
 mod views;
 
-pub(crate) use chart::{Axis, Curve, Dot, Panel, draw, number};
+pub(crate) use chart::number;
+pub use chart::{Axis, Curve, Dot, Panel, draw};
 pub use error::BenchError;
 pub use leave_one_out::{Predicted, PredictionError, leave_one_out, table};
 pub use measures::{Errors, FoundLamp, Measures, hemisphere_error, lamp_errors};

@@ -104,10 +104,10 @@ pub enum ExportError {
 }
 
 impl Job {
-    /// The same under names that no file in its folder has: a number is added to all where one is taken.
+    /// The same under names that are not `taken`: a number is added to all where one is.
     #[must_use]
-    pub fn beside_others(self) -> Self {
-        let is_free = |job: &Self| !job.files().any(|file| job.folder.join(file).exists());
+    pub fn beside_others(self, taken: impl Fn(&Path) -> bool) -> Self {
+        let is_free = |job: &Self| !job.files().any(|file| taken(&file));
         if is_free(&self) {
             return self;
         }
@@ -119,10 +119,9 @@ impl Job {
         free.unwrap_or(self)
     }
 
-    /// How many of its files are in its folder already.
-    pub fn there_already(&self) -> usize {
-        let files = self.files();
-        files.filter(|file| self.folder.join(file).exists()).count()
+    /// How many of its files have names that are `taken`.
+    pub fn there_already(&self, taken: impl Fn(&Path) -> bool) -> usize {
+        self.files().filter(|file| taken(file)).count()
     }
 
     /// Bytes that its files have at most, whatever the pictures show.
@@ -164,8 +163,8 @@ impl Job {
         job
     }
 
-    /// Names of the files that it writes.
-    fn files(&self) -> impl Iterator<Item = String> {
+    /// The files that it writes.
+    pub fn files(&self) -> impl Iterator<Item = PathBuf> {
         let pictures = self.shots.iter().flat_map(|shot| {
             let png = self.png.map(|_| format!("{}.png", shot.stem));
             let exr = self.exr.then(|| format!("{}.exr", shot.stem));
@@ -176,7 +175,8 @@ impl Job {
             .iter()
             .map(|(name, _)| format!("{name}.apng"));
         let edits = self.edits.iter().map(|(name, _)| format!("{name}.json"));
-        pictures.chain(animation).chain(edits)
+        let names = pictures.chain(animation).chain(edits);
+        names.map(|name| self.folder.join(name))
     }
 
     fn check(&self) -> Result<(), ExportError> {

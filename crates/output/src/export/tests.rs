@@ -360,13 +360,19 @@ fn an_export_beside_others_replaces_none() {
         ..job(folder.path(), renderer.original())
     };
     let name = format!("{}.png", wanted.shots[0].stem);
-    assert_eq!(wanted.there_already(), 0);
+    assert_eq!(wanted.there_already(Path::exists), 0);
     for count in 1..=3 {
-        run(&renderer, &wanted.clone().beside_others()).unwrap();
+        run(&renderer, &wanted.clone().beside_others(Path::exists)).unwrap();
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), count);
     }
     assert!(folder.path().join(name).exists());
-    assert_eq!(wanted.there_already(), 1);
+    // What another export will write is taken, too.
+    let second = wanted.clone().beside_others(Path::exists);
+    let third = wanted
+        .clone()
+        .beside_others(|file| file.exists() || second.files().any(|f| f == file));
+    assert_ne!(second.shots[0].stem, third.shots[0].stem);
+    assert_eq!(wanted.there_already(Path::exists), 1);
 }
 
 #[test]
