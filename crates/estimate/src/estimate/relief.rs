@@ -189,7 +189,7 @@ pub fn refine(
         return Ok(None);
     }
     let turns = solver.seen.views.len().min(MOST_TURNS);
-    let is_out = |view: usize| turns > 2 && view % turns == 0;
+    let is_out = |view: usize| turns > 2 && view.is_multiple_of(turns);
     for round in 0..ROUNDS {
         let done = 0.3 + 0.3 * round as f32 / ROUNDS as f32;
         go_on(watch.observer.progress(WHAT, done))?;
