@@ -3,12 +3,12 @@
 //! The paper seeks light on a hemisphere. In a room or out of doors a tenth to a third of it comes from below: what floor and
 //! ground throw back. Without it the gloss that faces down is laid to light above, in a lobe that is too wide. So cells
 //! below the horizon are taken in where they explain clearly more. That alone would mislead: more cells explain normals and
-//! cameras that are off as well. But then they predict views that had no say in them worse.
+//! cameras that are off as well. But then they don't predict views that had no say in them better.
 
 use super::cells::Pyramid;
 use super::course::explains_better;
 use super::fast::{COARSEST, CoarseFit, Solver};
-use super::held_out::predicts_worse;
+use super::held_out::predicts_better;
 use rekindle_scene::hemisphere::HemisphereGrid;
 
 /// Directions all around in which light is sought.
@@ -44,7 +44,7 @@ pub fn is_lit_from_below(
     above: (&Solver<'_>, &CoarseFit<'_>),
 ) -> bool {
     explains_better(everywhere.1, above.1)
-        && !predicts_worse(
+        && predicts_better(
             (everywhere.0, &everywhere.1.state),
             (above.0, &above.1.state),
         )

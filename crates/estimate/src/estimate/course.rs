@@ -5,7 +5,7 @@ use super::SpecularChoice;
 use super::below::{AllAround, is_lit_from_below};
 use super::fast::{CoarseFit, Fit, Solver, Watch};
 use super::gloss;
-use super::held_out::{predicts_worse, shows_gloss};
+use super::held_out::{predicts_better, shows_gloss};
 use super::observer::{Interim, Stopped};
 use super::relief::{self, Bench, RefinedSurface};
 use super::state::State;
@@ -134,8 +134,8 @@ fn with_parts<R>(
     };
     let parted = solver.parted(&parts);
     let (on_parts, why) = choose(&parted, choice, &SpecularModel::ALL, watch)?;
-    let predicts_worse = || predicts_worse((&parted, &on_parts.state), (solver, &coarse.state));
-    if explains_better(&on_parts, &coarse) && !predicts_worse() {
+    let is_better = || predicts_better((&parted, &on_parts.state), (solver, &coarse.state));
+    if explains_better(&on_parts, &coarse) && is_better() {
         then(&parted, on_parts, why, watch)
     } else {
         then(solver, coarse, because, watch)

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
-use super::held_out::predicts_worse;
+use super::held_out::predicts_better;
 use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
 use super::merging::merge_lamps;
@@ -352,10 +352,14 @@ impl Solver<'_> {
         };
         let parted = self.parted(&parts);
         let with_main = state.with_main(main);
-        if predicts_worse(
-            (&parted, &parted.dark_roots(with_main.brdf)),
-            (self, &self.dark_roots(state.brdf)),
-        ) {
+        // That there are parts at all has to be shown once.
+        let is_new = self.seen.parts.is_none();
+        if is_new
+            && !predicts_better(
+                (&parted, &parted.dark_roots(with_main.brdf)),
+                (self, &self.dark_roots(state.brdf)),
+            )
+        {
             return self.finish(state, step, observations, watch);
         }
         let observations = observations.of_parts(&parts);

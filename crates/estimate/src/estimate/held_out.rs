@@ -30,14 +30,13 @@ pub fn shows_gloss(solver: &Solver<'_>, fit: &CoarseFit<'_>) -> bool {
     signed_ranks(&dark, &lit) > SURE
 }
 
-/// Whether the lobe of one state on its cells, with its solver, predicts such views worse than another's by more than two standard
-/// deviations of chance.
-pub fn predicts_worse(
+/// Whether the lobe of one state on its cells, with its solver, predicts such views better than another's, beyond chance.
+pub fn predicts_better(
     (solver, fit): (&Solver<'_>, &State<'_>),
     other: (&Solver<'_>, &State<'_>),
 ) -> bool {
     let [[_, lit], [_, by_other]] = [(solver, fit), other].map(|(s, f)| left_out(s, f));
-    signed_ranks(&lit, &by_other) > CHANCE
+    signed_ranks(&by_other, &lit) > SURE
 }
 
 /// What is left at each of many points in views that had no say, in standard deviations of noise: by diffuse colours alone, and
