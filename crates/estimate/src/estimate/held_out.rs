@@ -18,8 +18,8 @@ use rekindle_scene::reflectance::Brdf;
 
 /// Views are left out in so many turns at most.
 const MOST_TURNS: usize = 6;
-/// What chance does in one case of twenty, in standard deviations.
-pub const CHANCE: f64 = 2.0;
+/// What chance exceeds in one case of twenty, in standard deviations.
+pub const CHANCE: f64 = 1.645;
 /// Points that are looked at: many, as most show no highlight.
 const POINTS: usize = 4000;
 
@@ -30,13 +30,14 @@ pub fn shows_gloss(solver: &Solver<'_>, fit: &CoarseFit<'_>) -> bool {
     signed_ranks(&dark, &lit) > SURE
 }
 
-/// Whether the lobe of one state on its cells, with its solver, predicts such views better than another's, beyond chance.
+/// Whether the lobe of one state on its cells, with its solver, predicts such views better than another's by more than
+/// chance does in one case of twenty.
 pub fn predicts_better(
     (solver, fit): (&Solver<'_>, &State<'_>),
     other: (&Solver<'_>, &State<'_>),
 ) -> bool {
     let [[_, lit], [_, by_other]] = [(solver, fit), other].map(|(s, f)| left_out(s, f));
-    signed_ranks(&by_other, &lit) > SURE
+    signed_ranks(&by_other, &lit) > CHANCE
 }
 
 /// What is left at each of many points in views that had no say, in standard deviations of noise: by diffuse colours alone, and
