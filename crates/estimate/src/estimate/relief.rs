@@ -60,7 +60,7 @@ const ROUNDS_AT_FIRST_SIGMA: usize = 2;
 const ROUNDS_ON_TRIAL: usize = 4;
 const POINTS_ON_TRIAL: usize = 4000;
 /// One view in so many is left out then.
-const MOST_TURNS: usize = 3;
+const TURNS: usize = 3;
 /// A round that changes σ by less than this part of it is the last.
 const SETTLED: f32 = 5e-3;
 
@@ -188,13 +188,18 @@ pub fn refine(
     if lamps.directions.is_empty() {
         return Ok(None);
     }
-    let turns = solver.seen.views.len().min(MOST_TURNS);
-    let is_out = |view: usize| turns > 2 && view.is_multiple_of(turns);
+    let is_out = |view: usize| view.is_multiple_of(TURNS);
+    // Of fewer views none can be spared.
+    let on_trial = if solver.seen.views.len() < TURNS {
+        0
+    } else {
+        ROUNDS_ON_TRIAL
+    };
     for round in 0..ROUNDS {
         let done = 0.3 + 0.3 * round as f32 / ROUNDS as f32;
         go_on(watch.observer.progress(WHAT, done))?;
         let mut points = relief.points(&solver, &lamps);
-        if round < ROUNDS_ON_TRIAL {
+        if round < on_trial {
             points = points.without_views(is_out).0;
         }
         let free_sigma = round >= ROUNDS_AT_FIRST_SIGMA;
@@ -203,13 +208,13 @@ pub fn refine(
         if step.is_none() || watch.observer.enough() {
             break;
         }
-        if round + 1 == ROUNDS_ON_TRIAL {
+        if round + 1 == on_trial {
             let sigmas = [sigma, WIDER * sigma, lamps.brdf.sigma];
             if !relief.predicts(&solver, &lamps, &sigmas, is_out) {
                 return Ok(Some(smooth));
             }
         }
-        if round >= ROUNDS_ON_TRIAL && (lamps.brdf.sigma / before - 1.0).abs() < SETTLED {
+        if free_sigma && round >= on_trial && (lamps.brdf.sigma / before - 1.0).abs() < SETTLED {
             break;
         }
     }
@@ -647,15 +652,20 @@ impl Relief {
         let fair = fair.to_gray();
         let mut present = fair.clone();
         self.turn(&mut present);
+        let [fair_others, present_others] =
+            [&fair, &present].map(|points| points.without_views(&is_out).0);
+        let on = |points| design(solver, lamps, points);
+        let (fair, present) = (
+            [on(&fair_others), on(&fair)],
+            [on(&present_others), on(&present)],
+        );
         let around = lamps.around(solver);
-        let left = |points: &Observations, sigma: f32| -> Vec<f64> {
+        let left = |designs: &[Design<'_>; 2], sigma: f32| -> Vec<f64> {
             let brdf = Brdf {
                 sigma,
                 ..lamps.brdf
             };
-            let (others, _) = points.without_views(&is_out);
-            let designs = [&others, points].map(|points| design(solver, lamps, points));
-            let left = left_in(designs, &around, brdf, &is_out);
+            let left = left_in(designs.clone(), &around, brdf, &is_out);
             left.into_iter().map(|[_, lit]| lit).collect()
         };
         let refined = left(&present, lamps.brdf.sigma);
