@@ -593,13 +593,7 @@ impl Renderer {
         let brdf = surface.solution.brdf;
         let mut frame = Frame {
             sigma: brdf.map_or(0.0, |b| b.sigma),
-            model: match brdf.map(|b| b.model) {
-                Some(SpecularModel::Paper) => 0,
-                Some(SpecularModel::Beckmann) => 1,
-                Some(SpecularModel::Ggx) => 2,
-                Some(SpecularModel::Metal) => 3,
-                None => 4,
-            },
+            model: SpecularModel::shader_number(brdf.map(|b| b.model)),
             mode: request.mode.number(),
             flags: if light.stored { STORED } else { 0 },
             row_words: light.lists.row_words,

@@ -408,6 +408,17 @@ impl SpecularModel {
     /// All of them, the simplest first.
     pub const ALL: [Self; 4] = [Self::Paper, Self::Beckmann, Self::Ggx, Self::Metal];
 
+    /// The number by which shaders know the model of a surface, or that it has none.
+    pub fn shader_number(model: Option<Self>) -> u32 {
+        match model {
+            Some(Self::Paper) => 0,
+            Some(Self::Beckmann) => 1,
+            Some(Self::Ggx) => 2,
+            Some(Self::Metal) => 3,
+            None => 4,
+        }
+    }
+
     /// Its name in the field.
     pub fn name(self) -> &'static str {
         match self {

@@ -155,12 +155,7 @@ pub fn page(
 
 /// The specular model by its number in the shaders, and its roughness.
 fn brdf(brdf: Option<Brdf>) -> serde_json::Value {
-    let number = brdf.map_or(4, |brdf| match brdf.model {
-        SpecularModel::Paper => 0,
-        SpecularModel::Beckmann => 1,
-        SpecularModel::Ggx => 2,
-        SpecularModel::Metal => 3,
-    });
+    let number = SpecularModel::shader_number(brdf.map(|brdf| brdf.model));
     json!({ "model": number, "sigma": brdf.map_or(1.0, |brdf| brdf.sigma) })
 }
 
