@@ -380,8 +380,8 @@ impl Estimation {
     }
 
     fn plots_ui(&mut self, ui: &mut egui::Ui, shared: &mut Shared<'_>) {
-        let mut at = self.at;
-        ui.horizontal(|ui| {
+        let curves = ui.horizontal(|ui| {
+            let mut at = self.at;
             if runs::button(ui, &mut self.runs, &mut at) {
                 self.look_at(at);
             }
@@ -396,9 +396,19 @@ impl Estimation {
                     .and_then(|path| path.parent());
                 shared.worker.pick(Purpose::SaveCurves, start);
             }
+            let curves = self.curves(ui);
+            curves.legend_ui(ui);
+            curves
         });
+        if let Some(clicked) = curves.inner.show(ui) {
+            self.look = Look::Step(clicked);
+        }
+    }
+
+    /// The curves of the run that is looked at, under those of others.
+    fn curves(&self, ui: &egui::Ui) -> Curves<'_> {
         let other = self.other.filter(|other| other.run == self.at);
-        let curves = Curves {
+        Curves {
             steps: self.steps(),
             tried: self.progress().map_or(&[][..], |p| &p.tried),
             method: self
@@ -408,9 +418,6 @@ impl Estimation {
             other: other.map(|other| other.step),
             interval: self.solution().and_then(|s| s.sigma_interval95),
             overlays: runs::overlays(ui, &self.runs, self.at),
-        };
-        if let Some(clicked) = curves.show(ui) {
-            self.look = Look::Step(clicked);
         }
     }
 

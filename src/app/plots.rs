@@ -85,7 +85,6 @@ impl Curves<'_> {
         // All of the panel, which otherwise shrinks to what is in it.
         ui.set_min_height(ui.available_height());
         let stages = self.stages();
-        self.legend_ui(ui, &stages);
         let height = ui.available_height();
         let plots = match ui.available_width() {
             room if room > 1100.0 => 4,
@@ -121,11 +120,11 @@ impl Curves<'_> {
     }
 
     /// Which stage has which number, and what the dashed lines are.
-    fn legend_ui(&self, ui: &mut egui::Ui, stages: &[Stage<'_>]) {
+    pub fn legend_ui(&self, ui: &mut egui::Ui) {
         let palette = theme::palette(ui);
         ui.horizontal_wrapped(|ui| {
             ui.spacing_mut().item_spacing.x = 14.0;
-            for (i, stage) in stages.iter().enumerate() {
+            for (i, stage) in self.stages().iter().enumerate() {
                 let text = format!("{}  {}", i + 1, sentence(stage.name));
                 ui.label(RichText::new(text).small());
             }
