@@ -11,11 +11,31 @@ const GROUPS: usize = 32;
 /// single value decides. Both have the same length.
 pub fn signed_ranks(first: &[f64], second: &[f64]) -> f64 {
     let size = first.len().div_ceil(GROUPS).max(1);
-    let sum = |values: &[f64]| values.iter().sum::<f64>();
-    let mut differences: Vec<f64> = (first.chunks(size).zip(second.chunks(size)))
-        .map(|(a, b)| sum(a) - sum(b))
-        .filter(|d| *d != 0.0)
-        .collect();
+    let groups = first.chunks(size).zip(second.chunks(size));
+    ranked(
+        groups
+            .map(|(a, b)| a.iter().sum::<f64>() - b.iter().sum::<f64>())
+            .collect(),
+    )
+}
+
+/// The same of values with weights of their own, not negative, of which each group has as much as another: where few values can
+/// tell, they are not all in one group.
+pub fn weighted_signed_ranks(weights: &[f64], first: &[f64], second: &[f64]) -> f64 {
+    let total = weights.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+    let mut differences = vec![0.0; GROUPS];
+    let mut before = 0.0;
+    for ((weight, a), b) in weights.iter().zip(first).zip(second) {
+        let middle = (before + 0.5 * weight) / total;
+        before += weight;
+        differences[((middle * GROUPS as f64) as usize).min(GROUPS - 1)] += a - b;
+    }
+    ranked(differences)
+}
+
+/// By how many standard deviations of chance some differences are positive.
+fn ranked(mut differences: Vec<f64>) -> f64 {
+    differences.retain(|d| *d != 0.0);
     differences.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
     let n = differences.len() as f64;
     let signed: f64 = (differences.iter().enumerate())
@@ -44,5 +64,23 @@ mod tests {
         single[5] = -1e6;
         assert!(signed_ranks(&first, &single) < 2.0);
         assert_eq!(signed_ranks(&first, &first), 0.0);
+    }
+
+    #[test]
+    fn few_values_that_can_tell_are_heard_among_many_that_cannot() {
+        let noise = |i: usize| (i as f64 * 12.9898).sin();
+        let tells = |i: usize| (300..360).contains(&i);
+        let weights: Vec<f64> = (0..640)
+            .map(|i| if tells(i) { 1.0 } else { 1e-3 })
+            .collect();
+        let first: Vec<f64> = (0..640).map(|i| 5.0 + noise(i)).collect();
+        let second: Vec<f64> = (0..640)
+            .map(|i| 5.0 - if tells(i) { 1.5 } else { 0.0 } + noise(i + 7000))
+            .collect();
+        assert!(signed_ranks(&first, &second) < SURE);
+        assert!(weighted_signed_ranks(&weights, &first, &second) > 4.0);
+        assert!(weighted_signed_ranks(&weights, &second, &first) < -4.0);
+        assert_eq!(weighted_signed_ranks(&weights, &first, &first), 0.0);
+        assert_eq!(weighted_signed_ranks(&[], &[], &[]), 0.0);
     }
 }

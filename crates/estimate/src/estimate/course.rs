@@ -6,9 +6,9 @@ use super::below::{AllAround, is_lit_from_below};
 use super::fast::{CoarseFit, Fit, Solver, Watch};
 use super::gloss;
 use super::held_out::{predicts_better, shows_gloss};
-use super::observer::{Interim, Stopped};
+use super::observer::{Interim, Stopped, go_on};
 use super::relief::{self, Bench, RefinedSurface};
-use super::state::State;
+use super::state::{ROUGH, State};
 use super::suspects::{Suspicion, left};
 use super::{diagnose, exposures};
 use rekindle_base::math::ranks::{SURE, signed_ranks};
@@ -25,6 +25,9 @@ const CLEARLY_LESS: f64 = 1.25;
 const STEP: f32 = 1.25;
 const SMOOTHEST: f32 = 0.02;
 pub const ROUGHEST: f32 = 0.5;
+
+/// Steps of each lobe on cells that are split once.
+const ROUNDS: usize = 4;
 
 /// What the course comes to.
 pub enum Outcome {
@@ -84,7 +87,7 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
             if !shown {
                 return Ok(Outcome::Nothing(diagnose::NO_SPECULAR.to_owned()));
             }
-            let ending = end(solver, &coarse, because, watch)?;
+            let ending = end(solver, &coarse, because, rules.choice, watch)?;
             Ok(Outcome::Found(Box::new(ending)))
         },
     )
@@ -161,7 +164,7 @@ fn on_refined(
         if signed_ranks(&before, &left(&again.state)) <= SURE || !is_glossy(solver, &again) {
             return Ok(None);
         }
-        end(solver, &again, because, watch).map(Some)
+        end(solver, &again, because, choice, watch).map(Some)
     })?;
     Ok(ending.map(|ending| Ending {
         refined: Some(RefinedSurface { mesh, median_tilt }),
@@ -175,9 +178,10 @@ fn end(
     solver: &Solver<'_>,
     coarse: &CoarseFit<'_>,
     because: String,
+    choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Ending, Stopped> {
-    let mut bound = None;
+    let (mut bound, mut because) = (None, because);
     let (fit, suspicion) = if solver.sigma.is_none() && diagnose::is_open(coarse) {
         let (middle, roughest) = open_roughness(&coarse.state);
         bound = Some(roughest);
@@ -188,9 +192,17 @@ fn end(
         };
         let model = coarse.state.brdf.model;
         let start = bounded.compare_sigmas(model, None, watch)?;
-        (finish(&bounded, &start, watch)?, None)
+        (finish(&bounded, &start.state, watch)?, None)
     } else {
-        let fit = finish(solver, coarse, watch)?;
+        let resolved = resolved(solver, &coarse.state, choice, watch)?;
+        let start = match &resolved {
+            Some((state, why)) => {
+                because.clone_from(why);
+                state
+            }
+            None => &coarse.state,
+        };
+        let fit = finish(solver, start, watch)?;
         let is_looked_for = !watch.observer.enough() && diagnose::is_middling(&fit.misfit);
         let suspicion = if is_looked_for {
             solver.suspicion(&coarse.state)?
@@ -256,7 +268,16 @@ fn patches(
     if !explains_better(&fit, coarse) {
         return Ok(None);
     }
-    Ok(parted.gloss_parts(&fit.state).map(|(parts, _)| parts))
+    // Where no light is found otherwise, whether they are worth it is left to the views that they then have to predict. Else they
+    // would explain bad normals.
+    let worth = if is_glossy(solver, coarse) {
+        gloss::WORTH
+    } else {
+        1.0
+    };
+    Ok(parted
+        .gloss_parts(&fit.state, worth)
+        .map(|(parts, _)| parts))
 }
 
 /// Whether one coarse fit leaves so much less than another that it is worth more unknowns.
@@ -265,14 +286,55 @@ pub fn explains_better(one: &CoarseFit<'_>, other: &CoarseFit<'_>) -> bool {
 }
 
 /// Roughness and lights on single nodes, from a coarse fit.
-fn finish(
-    solver: &Solver<'_>,
-    coarse: &CoarseFit<'_>,
+fn finish(solver: &Solver<'_>, coarse: &State<'_>, watch: &mut Watch<'_>) -> Result<Fit, Stopped> {
+    watch.observer.interim(Interim::Lobe(coarse.brdf.model));
+    solver.fine_fit(coarse, watch)
+}
+
+/// A coarse fit's lights with the lobe that leaves least where they are split once, and why it is that one. Coarse cells don't
+/// tell lobes apart that are narrower than themselves: nothing is looked at where this one isn't, or was asked for.
+fn resolved<'s>(
+    solver: &'s Solver<'_>,
+    coarse: &State<'s>,
+    choice: SpecularChoice,
     watch: &mut Watch<'_>,
-) -> Result<Fit, Stopped> {
-    let lobe = coarse.state.brdf.model;
-    watch.observer.interim(Interim::Lobe(lobe));
-    solver.fine_fit(&coarse.state, watch)
+) -> Result<Option<(State<'s>, String)>, Stopped> {
+    let is_narrow = coarse.lobe_width() < solver.pyramid.spacing(0);
+    if !is_narrow || choice != SpecularChoice::Auto || watch.observer.enough() {
+        return Ok(None);
+    }
+    let observations = solver.middle_observations(coarse).to_gray();
+    let split = solver.refine(coarse, &observations);
+    let mut tried = Vec::new();
+    for model in SpecularModel::ALL {
+        go_on(watch.observer.progress("comparing lobes", 0.3))?;
+        let mut state = split.clone();
+        state.brdf.model = model;
+        state.solve_lights(ROUGH);
+        solver.improve_quietly(&mut state, ROUNDS, ROUGH)?;
+        tried.push((state.unexplained(), state.brdf));
+    }
+    tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let because = reason([tried[0], tried[1]].map(|(left, brdf)| (left, brdf.model)));
+    let mut state = coarse.clone();
+    state.brdf = tried[0].1;
+    Ok(Some((state, because)))
+}
+
+/// Why one lobe was chosen before another, by what each leaves.
+fn reason([(least, chosen), (more, other)]: [(f64, SpecularModel); 2]) -> String {
+    let named = |model: SpecularModel| match model {
+        SpecularModel::Paper => "constant Fresnel and masking",
+        SpecularModel::Beckmann => "Beckmann's microfacets",
+        SpecularModel::Ggx => "GGX",
+        SpecularModel::Metal => "a metal",
+    };
+    format!(
+        "{} leaves {:.0} % of the residual that {} leaves",
+        named(chosen),
+        100.0 * least / more,
+        named(other)
+    )
 }
 
 /// The coarse fit of the model asked for, or of the one `among` others that leaves least, with the reason in words; the paper's
@@ -306,18 +368,7 @@ pub fn choose<'s>(
         solver.improve_coarse(fit, watch)?;
     }
     sort_by_rest(&mut fits[..improved]);
-    let named = |fit: &CoarseFit<'_>| match fit.state.brdf.model {
-        SpecularModel::Paper => "constant Fresnel and masking",
-        SpecularModel::Beckmann => "Beckmann's microfacets",
-        SpecularModel::Ggx => "GGX",
-        SpecularModel::Metal => "a metal",
-    };
-    let because = format!(
-        "{} leaves {:.0} % of the residual that {} leaves",
-        named(&fits[0]),
-        100.0 * fits[0].unexplained / fits[1].unexplained,
-        named(&fits[1])
-    );
+    let because = reason([0, 1].map(|k| (fits[k].unexplained, fits[k].state.brdf.model)));
     Ok((fits.swap_remove(0), because))
 }
 

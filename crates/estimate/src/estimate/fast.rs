@@ -15,6 +15,7 @@ use rayon::prelude::*;
 
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
+use super::gloss;
 use super::held_out::predicts_better;
 use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
@@ -339,7 +340,7 @@ impl Solver<'_> {
         watch: &mut Watch<'_>,
     ) -> Result<Fit, Stopped> {
         let found = if rounds > 0 {
-            self.gloss_parts(&state)
+            self.gloss_parts(&state, gloss::WORTH)
         } else {
             None
         };

@@ -186,8 +186,9 @@ struct Lit<'a> {
 
 impl Solver<'_> {
     /// The parts of the surface whose gloss differs under the lights of a state, if there are any, and the gloss of the part that
-    /// is to be the main one, which the parts' are multiples of.
-    pub fn gloss_parts(&self, state: &State<'_>) -> Option<(GlossParts, Gloss)> {
+    /// is to be the main one, which the parts' are multiples of. A further gloss has to leave less than the part `worth` of what
+    /// fewer leave.
+    pub fn gloss_parts(&self, state: &State<'_>, worth: f64) -> Option<(GlossParts, Gloss)> {
         let observations = Observations::gather(
             &Seen {
                 parts: None,
@@ -214,7 +215,7 @@ impl Solver<'_> {
             weights: weights(&gray, state.residuals.noise),
         };
         let board = Board::new(&observations, &lit);
-        let kinds = board.kinds(self.stop);
+        let kinds = board.kinds(worth, self.stop);
         if kinds.len() < 2 {
             return None;
         }
@@ -390,7 +391,7 @@ impl Board {
     }
 
     /// The glosses that explain the points, the one for all first.
-    fn kinds(&self, stop: &AtomicBool) -> Vec<Kind> {
+    fn kinds(&self, worth: f64, stop: &AtomicBool) -> Vec<Kind> {
         let pooled = self.pooled();
         let mut kinds = vec![Evidence::sum(pooled.iter()).best_kind()];
         let candidates = pooled.iter().map(Evidence::best_kind);
@@ -417,7 +418,7 @@ impl Board {
                     *kind = Evidence::sum(own).kind();
                 }
             }
-            if !self.is_better(&kinds, &more) {
+            if !self.is_better(worth, &kinds, &more) {
                 break;
             }
             kinds = more;
@@ -426,7 +427,7 @@ impl Board {
     }
 
     /// Whether more kinds explain points that had no say in their part better, beyond chance and by enough.
-    fn is_better(&self, fewer: &[Kind], more: &[Kind]) -> bool {
+    fn is_better(&self, worth: f64, fewer: &[Kind], more: &[Kind]) -> bool {
         let is_told = |i: usize| i.count_ones().is_multiple_of(2);
         let left = |kinds: &[Kind]| -> Vec<f64> {
             let parts = self.walk(kinds, is_told);
@@ -438,7 +439,7 @@ impl Board {
         };
         let (fewer, more) = (left(fewer), left(more));
         let ratio = more.iter().sum::<f64>() / fewer.iter().sum::<f64>();
-        ratio < WORTH && signed_ranks(&fewer, &more) > SURE
+        ratio < worth && signed_ranks(&fewer, &more) > SURE
     }
 
     /// Each point's evidence with that of the points around it, of like colour.

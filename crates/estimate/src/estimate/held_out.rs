@@ -11,23 +11,41 @@ use super::cells::Cell;
 use super::design::Design;
 use super::fast::{CoarseFit, Solver};
 use super::observations::Observations;
-use super::state::{ROUGH, State};
+use super::state::{Precision, ROUGH, State};
 use super::weights::{deviation, magnitude};
-use rekindle_base::math::ranks::{SURE, signed_ranks};
-use rekindle_scene::reflectance::Brdf;
+use rekindle_base::math::ranks::{SURE, signed_ranks, weighted_signed_ranks};
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
 
 /// Views are left out in so many turns at most.
 const MOST_TURNS: usize = 6;
 /// What chance exceeds in one case of twenty, in standard deviations.
 pub const CHANCE: f64 = 1.645;
 /// Points that are looked at: many, as most show no highlight.
-const POINTS: usize = 4000;
+const POINTS: usize = 8000;
+/// Prices of light that are tried, in standard deviations of the residuals; see [`Precision::price`]. Without any, cells by the
+/// hundred are lit by what the model leaves out, and drown the few lights that there are.
+const PRICES: [f64; 4] = [16.0, 8.0, 4.0, 2.0];
+/// Standard deviations of noise by which explanations differ at a point that can tell between them.
+const TELLING: f64 = 1.0;
+
+/// What explanations leave at a point in the views that had no say, in standard deviations of noise, summed over its rows.
+#[derive(Clone, Copy, Default)]
+pub struct Left {
+    /// By diffuse colours alone.
+    pub dark: f64,
+    /// With lights.
+    pub lit: f64,
+    /// What the lights change.
+    pub shown: f64,
+}
 
 /// Whether the lobe of a coarse fit predicts views that had no say in the lights better than diffuse colours alone do, beyond
 /// chance.
 pub fn shows_gloss(solver: &Solver<'_>, fit: &CoarseFit<'_>) -> bool {
-    let [dark, lit] = left_out(solver, &fit.state);
-    signed_ranks(&dark, &lit) > SURE
+    let left = left_out(solver, &fit.state);
+    let column = |of: fn(&Left) -> f64| -> Vec<f64> { left.iter().map(of).collect() };
+    // At all points, as gloss that is everywhere shows on all sides.
+    signed_ranks(&column(|l| l.dark), &column(|l| l.lit)) > SURE
 }
 
 /// Whether the lobe of one state on its cells, with its solver, predicts such views better than another's by more than
@@ -36,61 +54,103 @@ pub fn predicts_better(
     (solver, fit): (&Solver<'_>, &State<'_>),
     other: (&Solver<'_>, &State<'_>),
 ) -> bool {
-    let [[_, lit], [_, by_other]] = [(solver, fit), other].map(|(s, f)| left_out(s, f));
-    signed_ranks(&by_other, &lit) > CHANCE
+    let [own, others] = [(solver, fit), other].map(|(s, f)| left_out(s, f));
+    let pairs = others.iter().zip(&own);
+    is_less(pairs.map(|(other, own)| (other.shown.max(own.shown), other.lit, own.lit))) > CHANCE
 }
 
-/// What is left at each of many points in views that had no say, in standard deviations of noise: by diffuse colours alone, and
-/// with lights.
-fn left_out(solver: &Solver<'_>, fit: &State<'_>) -> [Vec<f64>; 2] {
+/// By how many standard deviations of chance the third of some values is less than the second, at points that can tell: where the
+/// first, what explanations differ by, is more than noise.
+fn is_less(values: impl Iterator<Item = (f64, f64, f64)>) -> f64 {
+    let telling: Vec<_> = values.filter(|(shown, ..)| *shown > TELLING).collect();
+    let column = |of: fn(&(f64, f64, f64)) -> f64| -> Vec<f64> { telling.iter().map(of).collect() };
+    weighted_signed_ranks(&column(|v| v.0), &column(|v| v.1), &column(|v| v.2))
+}
+
+/// What is left at each of many points in views that had no say, at the price of light that leaves least.
+fn left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<Left> {
     let turns = solver.seen.views.len().min(MOST_TURNS);
     let points = solver.colours(POINTS).to_gray();
-    let of_turns: Vec<Vec<[f64; 2]>> = (0..turns)
+    // What the object mirrors of itself is no light: it is where none comes past it.
+    let design = solver.shadowed_design(&points, &fit.cells, &fit.brdf);
+    let of_turns: Vec<Vec<Vec<Left>>> = (0..turns)
         .into_par_iter()
         .map(|turn| {
             let is_out = |view| view % turns == turn;
-            let (others, _) = points.without_views(is_out);
-            let designs = [&others, &points].map(|points| solver.design(points, &fit.cells));
-            left_in(designs, &fit.cells, fit.brdf, is_out)
+            left_in(&design, &fit.cells, fit.brdf, &PRICES, is_out)
         })
         .collect();
-    [0, 1].map(|which| {
-        let points = 0..points.points.len();
-        let of = |i: usize| of_turns.iter().map(|left| left[i][which]).sum();
-        points.map(of).collect()
-    })
+    let of_price = |price: usize| -> Vec<Left> {
+        let sum = |i: usize| {
+            of_turns.iter().fold(Left::default(), |sum, turn| Left {
+                dark: sum.dark + turn[price][i].dark,
+                lit: sum.lit + turn[price][i].lit,
+                shown: sum.shown + turn[price][i].shown,
+            })
+        };
+        (0..points.points.len()).map(sum).collect()
+    };
+    let total = |left: &Vec<Left>| left.iter().map(|left| left.lit).sum::<f64>();
+    let of_prices = (0..PRICES.len()).map(of_price);
+    let best = of_prices.min_by(|a, b| total(a).total_cmp(&total(b)));
+    best.unwrap_or_default()
 }
 
-/// What is left at each point in the views that `is_out` leaves out, in standard deviations of noise: by diffuse colours alone,
-/// and with the lights that the other views say on some cells. The designs are of the rows of the others and of all.
+/// What is left at each point of a design in the views that `is_out` leaves out, with the lights that the other views say on some
+/// cells, for each of some prices of light.
 pub fn left_in(
-    [others, all]: [Design<'_>; 2],
+    design: &Design<'_>,
     cells: &[Cell],
     brdf: Brdf,
+    prices: &[f64],
     is_out: impl Fn(usize) -> bool,
-) -> Vec<[f64; 2]> {
-    let mut fitted = State::new(others, cells.to_vec(), brdf);
+) -> Vec<Vec<Left>> {
+    let rows = &design.observations.rows;
+    let tells = |k: usize| !is_out(rows[k].view);
+    let noise = noise_of(design, cells);
+    let mut fitted = State::new(design.clone(), cells.to_vec(), brdf);
+    fitted.silence(tells);
     fitted.solve_lights(ROUGH);
     fitted.reweight();
-    fitted.solve_lights(ROUGH);
-    let Observations { points, rows, .. } = all.observations;
-    let judged = fitted.judged_on(all, |k| !is_out(rows[k].view));
-    // What all explanations have in common: their own noise would favour those that explain little.
-    let noise = fitted.dark_residuals().noise.max(f32::MIN_POSITIVE);
-    let dark = judged.dark_residuals();
+    fitted.silence(tells);
+    let deviation = f64::from(fitted.rms());
+    let of_price = |price: &f64| {
+        fitted.solve_lights(Precision {
+            price: price * deviation,
+            ..ROUGH
+        });
+        left_by(&fitted, noise, &is_out)
+    };
+    prices.iter().map(of_price).collect()
+}
+
+/// Noise of the rows of a design without lights and gloss, which all explanations have in common: their own would favour those that
+/// explain little.
+fn noise_of(design: &Design<'_>, cells: &[Cell]) -> f32 {
+    let matte = Brdf::new(SpecularModel::Paper, 1.0);
+    let dark = State::new(design.clone(), cells.to_vec(), matte).dark_residuals();
+    dark.noise.max(f32::MIN_POSITIVE)
+}
+
+/// What lights that others have said leave at each point in the views that `is_out` says.
+fn left_by(fitted: &State<'_>, noise: f32, is_out: impl Fn(usize) -> bool) -> Vec<Left> {
+    let Observations { points, rows, .. } = fitted.design.observations;
+    let dark = fitted.dark_residuals();
     let of_point = |own: Range<usize>| {
         let (out, kept): (Vec<usize>, Vec<usize>) = own.partition(|&k| is_out(rows[k].view));
+        let mut left = Left::default();
         if kept.is_empty() {
             // Nothing says what its diffuse colour is.
-            return [0.0; 2];
+            return left;
         }
-        [&dark, &judged.residuals].map(|residuals| {
-            let whitened = |&k: &usize| {
-                let noise = deviation(noise, rows[k].detail);
-                f64::from(magnitude(residuals.values[k]) / noise)
-            };
-            out.iter().map(whitened).sum()
-        })
+        for k in out {
+            let in_noise = |value| f64::from(magnitude(value) / deviation(noise, rows[k].detail));
+            let (by_dark, by_lit) = (dark.values[k], fitted.residuals.values[k]);
+            left.dark += in_noise(by_dark);
+            left.lit += in_noise(by_lit);
+            left.shown += in_noise(std::array::from_fn(|c| by_dark[c] - by_lit[c]));
+        }
+        left
     };
     let own = points.iter().map(|point| point.rows.clone());
     own.map(of_point).collect()

@@ -652,21 +652,15 @@ impl Relief {
         let fair = fair.to_gray();
         let mut present = fair.clone();
         self.turn(&mut present);
-        let [fair_others, present_others] =
-            [&fair, &present].map(|points| points.without_views(&is_out).0);
-        let on = |points| design(solver, lamps, points);
-        let (fair, present) = (
-            [on(&fair_others), on(&fair)],
-            [on(&present_others), on(&present)],
-        );
+        let [fair, present] = [&fair, &present].map(|points| design(solver, lamps, points));
         let around = lamps.around(solver);
-        let left = |designs: &[Design<'_>; 2], sigma: f32| -> Vec<f64> {
+        let left = |on: &Design<'_>, sigma: f32| -> Vec<f64> {
             let brdf = Brdf {
                 sigma,
                 ..lamps.brdf
             };
-            let left = left_in(designs.clone(), &around, brdf, &is_out);
-            left.into_iter().map(|[_, lit]| lit).collect()
+            let left = left_in(on, &around, brdf, &[0.0], &is_out);
+            left.iter().flatten().map(|left| left.lit).collect()
         };
         let refined = left(&present, lamps.brdf.sigma);
         let is_better = |&sigma: &f32| signed_ranks(&left(&fair, sigma), &refined) > CHANCE;

@@ -26,6 +26,10 @@ pub struct Precision {
     pub tolerance: f64,
     /// Whether every solve makes sure that no cell away from the lit ones would take light, or the last one only.
     pub looks_around: bool,
+    /// Price of light: how much of a cell's own column the residuals must hold for it to be lit, in units of the observations'
+    /// scale per root of the column's square (the lasso's penalty on columns of length 1: Tibshirani, "Regression Shrinkage and
+    /// Selection via the Lasso", 1996).
+    pub price: f64,
 }
 
 /// Enough to see where light is. At a tolerance of 1e-4 slopes of σ were those of unfinished fits, and its steps went astray.
@@ -33,6 +37,7 @@ pub const ROUGH: Precision = Precision {
     ridge: 1e-6,
     tolerance: 1e-6,
     looks_around: true,
+    price: 0.0,
 };
 
 /// Enough that σ and the lamps' extents are not biased: at a ridge of 1e-5 they were, by 4 % and a factor of two.
@@ -40,6 +45,7 @@ pub const EXACT: Precision = Precision {
     ridge: 1e-9,
     tolerance: 1e-7,
     looks_around: false,
+    price: 0.0,
 };
 
 /// Distance between the roughnesses at which f is looked at, as a share of σ, and how many they are at most.
@@ -175,17 +181,13 @@ impl<'a> State<'a> {
         moved
     }
 
-    /// The same lights on other points, whose diffuse colours are those of the rows that `tell` alone.
-    pub fn judged_on<'b>(&self, design: Design<'b>, tell: impl Fn(usize) -> bool) -> State<'b> {
-        let mut judged = State::new(design, self.cells.clone(), self.brdf);
-        judged.radiance.clone_from(&self.radiance);
-        for (k, weight) in judged.weights.iter_mut().enumerate() {
+    /// Takes away the say of rows that don't `tell`.
+    pub fn silence(&mut self, tell: impl Fn(usize) -> bool) {
+        for (k, weight) in self.weights.iter_mut().enumerate() {
             if !tell(k) {
                 *weight = 0.0;
             }
         }
-        judged.predict();
-        judged
     }
 
     /// The same where a gloss that was another's becomes the main one: the lights' units are the main lobe's.
@@ -321,11 +323,14 @@ impl<'a> State<'a> {
             ..NnlsParams::default()
         };
         let own = if self.design.observations.gray { 1 } else { 3 };
+        let gram = equations.gram.as_ref();
         let solved: Vec<Vec<f64>> = (0..own)
             .into_par_iter()
             .map(|c| {
                 let mut x: Vec<f64> = cells.iter().map(|&k| f64::from(start[k][c])).collect();
-                nnls::solve(equations.gram.as_ref(), &equations.rhs[c], &mut x, &params);
+                let priced = |(i, b): (usize, &f64)| b - precision.price * gram[(i, i)].sqrt();
+                let rhs: Vec<f64> = equations.rhs[c].iter().enumerate().map(priced).collect();
+                nnls::solve(gram, &rhs, &mut x, &params);
                 x
             })
             .collect();
@@ -474,7 +479,7 @@ impl<'a> State<'a> {
     /// What the rows show without any light.
     pub fn dark_residuals(&self) -> Residuals {
         let none = Prediction {
-            value: vec![[0.0; 3]; self.prediction.value.len()],
+            value: vec![[0.0; 3]; self.design.observations.rows.len()],
             by_sigma: Vec::new(),
         };
         residuals(&self.design, &self.brdf, &self.weights, &none)

@@ -19,7 +19,7 @@ use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
 use rekindle_scene::surface::{GlossParts, PartPoint};
 
 /// Points that have a strength: patches are told apart that are a few times as wide as the distance between them.
-const POINTS: usize = 4000;
+const POINTS: usize = 8000;
 /// Roughnesses that are tried, radians. The first decides whether there is anything to be found.
 const SIGMAS: [f32; 3] = [0.08, 0.13, 0.05];
 /// Turns of strengths, after lights of one strength for all. One brings most of what there is to be had.

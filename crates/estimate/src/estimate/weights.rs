@@ -71,7 +71,7 @@ pub fn residuals(
             &mut values[point.rows.clone()],
         );
     }
-    let noise = noise_level(design, &values);
+    let noise = noise_level(design, weights, &values);
     Residuals { values, noise }
 }
 
@@ -139,17 +139,17 @@ pub fn log_diffuse(
     observations.points.iter().map(colour).collect()
 }
 
-/// Noise from the median residual, with the degrees of freedom that the elimination took given back.
-fn noise_level(design: &Design<'_>, residuals: &[[f32; 3]]) -> f32 {
+/// Noise from the median residual of the rows that have a weight, with the degrees of freedom that the elimination took given
+/// back.
+fn noise_level(design: &Design<'_>, weights: &[f32], residuals: &[[f32; 3]]) -> f32 {
     let mut magnitudes = Vec::with_capacity(residuals.len());
     for point in &design.observations.points {
-        let m = point.rows.len() as f32;
-        let correction = (m / (m - 1.0)).sqrt();
-        magnitudes.extend(
-            residuals[point.rows.clone()]
-                .iter()
-                .map(|&r| correction * magnitude(r)),
-        );
+        let heard = point.rows.clone().filter(|&k| weights[k] > 0.0);
+        let m = heard.clone().count() as f32;
+        if m > 1.0 {
+            let correction = (m / (m - 1.0)).sqrt();
+            magnitudes.extend(heard.map(|k| correction * magnitude(residuals[k])));
+        }
     }
     // The median of the root mean square of three normal deviates is 0.888 standard deviations.
     median(&mut magnitudes) / 0.888
