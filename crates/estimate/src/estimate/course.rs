@@ -66,31 +66,37 @@ pub struct Rules {
 
 /// The default method from the first look to the end.
 pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
-    with_coarse_fit(
-        solver,
-        rules.choice,
-        watch,
-        |solver, coarse, because, watch| {
-            let shown = is_glossy(solver, &coarse);
-            let views = solver.seen.views.len();
-            if shown
-                && let Some(known) = rules.exposures
-                && let Some(factors) = exposures::differing(&coarse.state, views, known)
-            {
-                return Ok(Outcome::Exposures(factors));
-            }
-            if (!shown || diagnose::blames_normals(&coarse.state))
-                && let Some(ending) = on_refined(solver, &coarse, rules.choice, watch)?
-            {
-                return Ok(Outcome::Found(Box::new(ending)));
-            }
-            if !shown {
-                return Ok(Outcome::Nothing(diagnose::NO_SPECULAR.to_owned()));
-            }
-            let ending = end(solver, &coarse, because, rules.choice, watch)?;
-            Ok(Outcome::Found(Box::new(ending)))
-        },
-    )
+    with_coarse_fit(solver, rules.choice, watch, |solver, start, watch| {
+        let Start {
+            coarse,
+            because,
+            faint,
+        } = start;
+        let shown = is_glossy(solver, &coarse);
+        let views = solver.seen.views.len();
+        if shown
+            && let Some(known) = rules.exposures
+            && let Some(factors) = exposures::differing(&coarse.state, views, known)
+        {
+            return Ok(Outcome::Exposures(factors));
+        }
+        if (!shown || diagnose::blames_normals(&coarse.state))
+            && let Some(ending) = on_refined(solver, &coarse, rules.choice, watch)?
+        {
+            return Ok(Outcome::Found(Box::new(ending)));
+        }
+        if !shown
+            && let Some(parts) = faint
+            && let Some(ending) = on_parts(solver, &coarse, &parts, rules.choice, watch)?
+        {
+            return Ok(Outcome::Found(Box::new(ending)));
+        }
+        if !shown {
+            return Ok(Outcome::Nothing(diagnose::NO_SPECULAR.to_owned()));
+        }
+        let ending = end(solver, &coarse, because, rules.choice, watch)?;
+        Ok(Outcome::Found(Box::new(ending)))
+    })
 }
 
 /// Whether a coarse fit's lobe is more than an accident. One that leaves open how smooth the surface is has to predict views.
@@ -99,13 +105,22 @@ fn is_glossy(solver: &Solver<'_>, coarse: &CoarseFit<'_>) -> bool {
     (is_clear && !diagnose::is_open(coarse)) || shows_gloss(solver, coarse)
 }
 
+/// A coarse fit to go on from.
+struct Start<'s> {
+    coarse: CoarseFit<'s>,
+    /// Why it has its lobe.
+    because: String,
+    /// See [`Patches::Faint`].
+    faint: Option<GlossParts>,
+}
+
 /// Goes on from the best coarse fit, with light from below the horizon if that explains clearly more, on a surface that has parts
 /// by their strength of gloss if these do.
 fn with_coarse_fit<R>(
     solver: &Solver<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
-    then: impl FnOnce(&Solver<'_>, CoarseFit<'_>, String, &mut Watch<'_>) -> Result<R, Stopped>,
+    then: impl FnOnce(&Solver<'_>, Start<'_>, &mut Watch<'_>) -> Result<R, Stopped>,
 ) -> Result<R, Stopped> {
     let (coarse, because) = choose(solver, choice, &SpecularModel::ALL, watch)?;
     if !solver.grid.whole && diagnose::leaves_much(&coarse.state) && !watch.observer.enough() {
@@ -130,19 +145,74 @@ fn with_parts<R>(
     because: String,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
-    then: impl FnOnce(&Solver<'_>, CoarseFit<'_>, String, &mut Watch<'_>) -> Result<R, Stopped>,
+    then: impl FnOnce(&Solver<'_>, Start<'_>, &mut Watch<'_>) -> Result<R, Stopped>,
 ) -> Result<R, Stopped> {
-    let Some(parts) = patches(solver, &coarse, choice, watch)? else {
-        return then(solver, coarse, because, watch);
+    let (parts, faint) = match patches(solver, &coarse, choice, watch)? {
+        Patches::Clear(parts) => (Some(parts), None),
+        Patches::Faint(parts) => (None, Some(parts)),
+        Patches::None => (None, None),
+    };
+    let Some(parts) = parts else {
+        let start = Start {
+            coarse,
+            because,
+            faint,
+        };
+        return then(solver, start, watch);
     };
     let parted = solver.parted(&parts);
-    let (on_parts, why) = choose(&parted, choice, &SpecularModel::ALL, watch)?;
-    let is_better = || predicts_better((&parted, &on_parts.state), (solver, &coarse.state));
-    if explains_better(&on_parts, &coarse) && is_better() {
-        then(&parted, on_parts, why, watch)
-    } else {
-        then(solver, coarse, because, watch)
+    match better(&parted, (solver, &coarse), choice, watch)? {
+        Some((coarse, because)) => then(
+            &parted,
+            Start {
+                coarse,
+                because,
+                faint: None,
+            },
+            watch,
+        ),
+        None => then(
+            solver,
+            Start {
+                coarse,
+                because,
+                faint: None,
+            },
+            watch,
+        ),
     }
+}
+
+/// The coarse fit on parts of the surface, with the reason for its lobe, where it explains and predicts the views better than one
+/// without.
+fn better<'s>(
+    parted: &'s Solver<'_>,
+    (solver, coarse): (&Solver<'_>, &CoarseFit<'_>),
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<(CoarseFit<'s>, String)>, Stopped> {
+    let (on_parts, why) = choose(parted, choice, &SpecularModel::ALL, watch)?;
+    let is_better = explains_better(&on_parts, coarse)
+        && predicts_better((parted, &on_parts.state), (solver, &coarse.state));
+    Ok(is_better.then_some((on_parts, why)))
+}
+
+/// The end on some parts of the surface, where one gloss for all shows nothing.
+fn on_parts(
+    solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    parts: &GlossParts,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Ending>, Stopped> {
+    let parted = solver.parted(parts);
+    let Some((on_parts, why)) = better(&parted, (solver, coarse), choice, watch)? else {
+        return Ok(None);
+    };
+    if !is_glossy(&parted, &on_parts) {
+        return Ok(None);
+    }
+    end(&parted, &on_parts, why, choice, watch).map(Some)
 }
 
 /// The end on a refined surface, if there is one that explains more than `coarse`, the coarse fit on the solver's own surface,
@@ -160,7 +230,12 @@ fn on_refined(
     let refined = bench.solver(solver, &mesh);
     let median_tilt = relief::median_tilt(&solver.seen, &refined.seen);
     let before = left(&coarse.state);
-    let ending = with_coarse_fit(&refined, choice, watch, |solver, again, because, watch| {
+    let ending = with_coarse_fit(&refined, choice, watch, |solver, start, watch| {
+        let Start {
+            coarse: again,
+            because,
+            ..
+        } = start;
         if signed_ranks(&before, &left(&again.state)) <= SURE || !is_glossy(solver, &again) {
             return Ok(None);
         }
@@ -249,6 +324,16 @@ fn open_roughness(coarse: &State<'_>) -> (f32, f32) {
     (middle, roughest.unwrap_or(own).max(middle))
 }
 
+/// Parts of the surface by their gloss.
+enum Patches {
+    /// There are none.
+    None,
+    /// They explain clearly more.
+    Clear(GlossParts),
+    /// They explain a little more, as they also do where normals are off: not to be believed as long as that may be it.
+    Faint(GlossParts),
+}
+
 /// Parts of the surface by the strength of their gloss, where one strength for all leaves so much that there may be some, and
 /// many strengths clearly less.
 fn patches(
@@ -256,28 +341,26 @@ fn patches(
     coarse: &CoarseFit<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
-) -> Result<Option<GlossParts>, Stopped> {
+) -> Result<Patches, Stopped> {
     if !diagnose::leaves_much(&coarse.state) || watch.observer.enough() {
-        return Ok(None);
+        return Ok(Patches::None);
     }
     let Some(strengths) = solver.strengths(watch)? else {
-        return Ok(None);
+        return Ok(Patches::None);
     };
     let parted = solver.parted(&strengths);
     let (fit, _) = choose(&parted, choice, &SpecularModel::ALL, watch)?;
     if !explains_better(&fit, coarse) {
-        return Ok(None);
+        return Ok(Patches::None);
     }
-    // Where no light is found otherwise, whether they are worth it is left to the views that they then have to predict. Else they
-    // would explain bad normals.
-    let worth = if is_glossy(solver, coarse) {
-        gloss::WORTH
-    } else {
-        1.0
+    let parts = |worth| {
+        parted
+            .gloss_parts(&fit.state, worth)
+            .map(|(parts, _)| parts)
     };
-    Ok(parted
-        .gloss_parts(&fit.state, worth)
-        .map(|(parts, _)| parts))
+    let clear = parts(gloss::WORTH).map(Patches::Clear);
+    let faint = || parts(1.0).map(Patches::Faint);
+    Ok(clear.or_else(faint).unwrap_or(Patches::None))
 }
 
 /// Whether one coarse fit leaves so much less than another that it is worth more unknowns.
