@@ -119,7 +119,7 @@ pub fn left_in(
             price: price * deviation,
             ..ROUGH
         });
-        left_by(&fitted, noise, &is_out)
+        left_by(&fitted.judged_by(tells), noise, &is_out)
     };
     prices.iter().map(of_price).collect()
 }
@@ -133,9 +133,9 @@ fn noise_of(design: &Design<'_>, cells: &[Cell]) -> f32 {
 }
 
 /// What lights that others have said leave at each point in the views that `is_out` says.
-fn left_by(fitted: &State<'_>, noise: f32, is_out: impl Fn(usize) -> bool) -> Vec<Left> {
-    let Observations { points, rows, .. } = fitted.design.observations;
-    let dark = fitted.dark_residuals();
+fn left_by(judged: &State<'_>, noise: f32, is_out: impl Fn(usize) -> bool) -> Vec<Left> {
+    let Observations { points, rows, .. } = judged.design.observations;
+    let dark = judged.dark_residuals();
     let of_point = |own: Range<usize>| {
         let (out, kept): (Vec<usize>, Vec<usize>) = own.partition(|&k| is_out(rows[k].view));
         let mut left = Left::default();
@@ -145,7 +145,7 @@ fn left_by(fitted: &State<'_>, noise: f32, is_out: impl Fn(usize) -> bool) -> Ve
         }
         for k in out {
             let in_noise = |value| f64::from(magnitude(value) / deviation(noise, rows[k].detail));
-            let (by_dark, by_lit) = (dark.values[k], fitted.residuals.values[k]);
+            let (by_dark, by_lit) = (dark.values[k], judged.residuals.values[k]);
             left.dark += in_noise(by_dark);
             left.lit += in_noise(by_lit);
             left.shown += in_noise(std::array::from_fn(|c| by_dark[c] - by_lit[c]));

@@ -181,6 +181,15 @@ impl<'a> State<'a> {
         moved
     }
 
+    /// The same lights, where the points' diffuse colours are those of the rows that `tell` alone.
+    pub fn judged_by(&self, tell: impl Fn(usize) -> bool) -> Self {
+        let mut judged = State::new(self.design.clone(), self.cells.clone(), self.brdf);
+        judged.radiance.clone_from(&self.radiance);
+        judged.silence(tell);
+        judged.predict();
+        judged
+    }
+
     /// Takes away the say of rows that don't `tell`.
     pub fn silence(&mut self, tell: impl Fn(usize) -> bool) {
         for (k, weight) in self.weights.iter_mut().enumerate() {
