@@ -19,7 +19,7 @@ struct Brdf {
     /// PAPER, BECKMANN, GGX, METAL or NO_LOBE.
     model: u32,
     sigma: f32,
-    /// What it reflects, as a multiple of what the main lobe does.
+    /// What it reflects, as a multiple of what such surfaces usually do.
     strength: f32,
 }
 

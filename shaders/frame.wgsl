@@ -51,12 +51,14 @@ struct Frame {
     radius: f32,
     /// Largest specular strength of any part, as a multiple of the main lobe's.
     strongest: f32,
+    /// That of the main lobe, as a multiple of what such surfaces usually have.
+    strength: f32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 
 fn brdf_of_frame() -> Brdf {
-    return Brdf(frame.model, frame.sigma, 1.0);
+    return Brdf(frame.model, frame.sigma, frame.strength);
 }
 
 fn eye() -> vec3f {

@@ -326,7 +326,7 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
     if (frame.mode == SHADOW) {
         return vec3f(shown_visibility());
     }
-    let brdf = Brdf(frame.model, frame.sigma * gloss.x, gloss.y);
+    let brdf = Brdf(frame.model, frame.sigma * gloss.x, frame.strength * gloss.y);
     let view = normalize(eye() - surface.position);
     let terms = view_terms(brdf, surface.normal, view);
     soft = soft_at(triangle, weights);

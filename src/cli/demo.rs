@@ -42,7 +42,13 @@ pub(super) fn run(output: OutputArgs) -> anyhow::Result<()> {
     let mut capture = Capture::load(&capture_folder)?;
     DEMO.clone_into(&mut capture.name);
     let load_s = started.elapsed().as_secs_f64();
-    let solution = solve_capture(&capture, load_s, &EstimationArgs::default(), &mut progress)?;
+    let solution = solve_capture(
+        &capture,
+        load_s,
+        &EstimationArgs::default(),
+        None,
+        &mut progress,
+    )?;
     let saved = solution.save(&staging.path().join(SOLUTION));
     saved.map_err(|error| match error {
         SolutionError::Destination(DestinationError::Write { source, .. }) => {

@@ -65,10 +65,10 @@ pub(super) struct ExportArgs {
 #[derive(clap::Args)]
 #[group(multiple = false)]
 struct GaugeArgs {
-    /// Index of refraction of the surface (default: 1.5)
+    /// Index of refraction of the surface (default: what a known light tells, else 1.5)
     #[arg(long, value_name = "N")]
     ior: Option<f32>,
-    /// Reflectance at normal incidence of the surface (default: 0.04)
+    /// Reflectance at normal incidence of the surface (default: what a known light tells, else 0.04)
     #[arg(long, value_name = "F0")]
     f0: Option<f32>,
     /// Diffuse albedo of the object's brightest parts, instead
@@ -77,7 +77,8 @@ struct GaugeArgs {
 }
 
 impl GaugeArgs {
-    fn anchor(&self) -> anyhow::Result<Anchor> {
+    /// The anchor; `known` is the reflectance at normal incidence where a known light tells it.
+    fn anchor(&self, known: Option<f32>) -> anyhow::Result<Anchor> {
         Ok(match (self.ior, self.f0, self.white_albedo) {
             (Some(index), ..) if index > 1.0 && index <= 10.0 => Anchor::F0(reflectance(index)),
             (Some(_), ..) => bail!("--ior must be more than 1 and at most 10, as 1.5 for plastic"),
@@ -87,7 +88,7 @@ impl GaugeArgs {
             }
             (.., Some(albedo)) if albedo > 0.0 && albedo <= 1.0 => Anchor::WhiteAlbedo(albedo),
             (.., Some(_)) => bail!("--white-albedo must be more than 0 and at most 1"),
-            _ => Anchor::F0(USUAL_F0),
+            _ => Anchor::F0(known.unwrap_or(USUAL_F0)),
         })
     }
 }
@@ -163,7 +164,6 @@ fn destination(args: &ExportArgs) -> anyhow::Result<(PathBuf, String)> {
 }
 
 pub(super) fn run(args: &ExportArgs, output: OutputArgs) -> anyhow::Result<()> {
-    let anchor = args.gauge.anchor()?;
     let (folder, page) = destination(args)?;
     check_apart(&folder, &args.solution)?;
     let settled = check_output(&folder)?;
@@ -172,6 +172,7 @@ pub(super) fn run(args: &ExportArgs, output: OutputArgs) -> anyhow::Result<()> {
     progress.stage("reading the solution", 0.0);
     let mut opened = Opened::new(&args.solution)?;
     progress.warn_all(&opened.warnings);
+    let anchor = args.gauge.anchor(opened.solution.known_reflectance())?;
     let cameras = match &args.cameras {
         Some(path) => read_cameras(path, opened.solution.mesh.origin)?,
         None => opened.solution.cameras.clone(),

@@ -16,7 +16,9 @@ use rekindle_capture::{Capture, input_files};
 use rekindle_estimate::estimate::{EstimateParams, Iteration, Method, Observer, SpecularChoice};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::Shortcut;
-use rekindle_solution::{Solution, SolveOptions, check_destination, origin, solve};
+use rekindle_solution::{
+    LightProbe, Solution, SolveOptions, check_destination, origin, solve_under,
+};
 
 /// Frequency of the hemisphere up to which all its nodes can be unknowns at once: 2000 of them.
 const MOST_DENSE: u32 = 20;
@@ -31,6 +33,35 @@ pub(super) struct SolveArgs {
     output: PathBuf,
     #[command(flatten)]
     options: EstimationArgs,
+    #[command(flatten)]
+    light: LightArgs,
+}
+
+/// The light of the place, where it is known.
+#[derive(clap::Args)]
+struct LightArgs {
+    /// Lat-long picture of all the light of the place (EXR or Radiance HDR), in the photographs' units: no light is estimated, and
+    /// roughness, gloss and albedo are absolute
+    #[arg(long, value_name = "PROBE")]
+    light: Option<PathBuf>,
+    /// Turn of that picture about the capture's up, counter-clockwise seen from above (default: by the highlights)
+    #[arg(long, value_name = "DEGREES", value_parser = degrees, requires = "light", allow_negative_numbers = true)]
+    light_rotation: Option<f32>,
+}
+
+impl LightArgs {
+    fn probe(&self) -> anyhow::Result<Option<LightProbe>> {
+        let turn = self.light_rotation.map(f32::to_radians);
+        let probe = self.light.as_ref().map(|path| LightProbe::load(path, turn));
+        Ok(probe.transpose()?)
+    }
+}
+
+fn degrees(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if value.is_finite() => Ok(value),
+        _ => Err("it must be a number of degrees".to_owned()),
+    }
 }
 
 /// Roughnesses that can be stated: a smoother surface is a mirror, whose highlights no picture resolves, and a rougher one has none.
@@ -242,6 +273,12 @@ pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
     }
     let settled = check_destination(&args.output)?;
     args.options.check()?;
+    if args.light.light.is_some() && !matches!(args.options.method, MethodArg::Fast) {
+        bail!(
+            "--light is for the default method: the reference methods estimate the light. Leave one of both out"
+        );
+    }
+    let light = args.light.probe()?;
     let mut progress = Progress::new(output);
     progress.warn_all(&settled);
     progress.stage("reading the capture", 0.0);
@@ -253,13 +290,19 @@ pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
     };
     let load_s = started.elapsed().as_secs_f64();
     interrupt::check()?;
-    if let Some(solution) = unchanged(args, &capture) {
+    if let Some(solution) = unchanged(args, &capture, light.as_ref()) {
         warn(&solution, &mut progress);
         progress.finish();
         report(args, output, &solution, solution.timings.clone(), true);
         return Ok(());
     }
-    let solution = solve_capture(&capture, load_s, &args.options, &mut progress)?;
+    let solution = solve_capture(
+        &capture,
+        load_s,
+        &args.options,
+        light.as_ref(),
+        &mut progress,
+    )?;
     progress.stage("writing the solution", 0.97);
     interrupt::check()?;
     let timings = solution.save(&args.output)?;
@@ -269,11 +312,13 @@ pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
 }
 
 /// The solution that is there, if solving would give the same.
-fn unchanged(args: &SolveArgs, capture: &Capture) -> Option<Solution> {
+fn unchanged(args: &SolveArgs, capture: &Capture, light: Option<&LightProbe>) -> Option<Solution> {
     if args.options.do_all.contains(&ShortcutArg::Unchanged) {
         return None;
     }
-    Solution::load_of_origin(&args.output, || origin(capture, &args.options.options()))
+    Solution::load_of_origin(&args.output, || {
+        origin(capture, &args.options.options(), light)
+    })
 }
 
 /// Says what was found and where it is; `timings` are the seconds of each stage, when it was found.
@@ -318,9 +363,11 @@ pub(super) fn solve_capture(
     capture: &Capture,
     load_s: f64,
     options: &EstimationArgs,
+    light: Option<&LightProbe>,
     progress: &mut Progress,
 ) -> anyhow::Result<Solution> {
-    let solution = solve(capture, &options.options(), load_s, &mut Shown(progress))
+    let options = options.options();
+    let solution = solve_under(capture, &options, light, load_s, &mut Shown(progress))
         .map_err(Interrupted::from)?;
     warn(&solution, progress);
     Ok(solution)
@@ -328,14 +375,24 @@ pub(super) fn solve_capture(
 
 /// What was found, in a line.
 pub(super) fn describe(solution: &Solution) -> String {
-    let lights = match solution.lamps.len() {
-        1 => "1 light".to_owned(),
-        count => format!("{count} lights"),
+    let lights = match (&solution.known_light, solution.lamps.len()) {
+        (Some(known), _) => {
+            let (file, turn) = (&known.file, known.rotation_deg);
+            format!("the light given by {file}, turned by {turn:.1}°")
+        }
+        (None, 1) => "1 light".to_owned(),
+        (None, count) => format!("{count} lights"),
     };
     match solution.brdf {
         Some(brdf) => {
             let surface = solution.surface_in_words();
-            format!("{surface} (σ {:.4}), {lights}", brdf.sigma)
+            let reflects = solution.known_reflectance().map_or_else(String::new, |f0| {
+                format!(", {:.1} % reflected at normal incidence", 100.0 * f0)
+            });
+            format!("{surface} (σ {:.4}){reflects}, {lights}", brdf.sigma)
+        }
+        None if solution.known_light.is_some() => {
+            format!("no specular part was found; {lights}")
         }
         None if solution.lamps.is_empty() => {
             "no specular part was found; the solution holds the diffuse texture only".to_owned()

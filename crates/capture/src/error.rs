@@ -73,6 +73,16 @@ pub enum CaptureError {
         /// What to do.
         advice: String,
     },
+    /// A picture is no light probe.
+    #[error("{path}: the picture is no light probe: {problem}; {advice}")]
+    NoProbe {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+        /// What to do.
+        advice: String,
+    },
     /// An image has another size than stated.
     #[error(
         "{path}: the image is {}×{} pixels, but {stated_by} says {}×{}; correct the numbers there or use the image they belong to",

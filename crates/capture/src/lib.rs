@@ -47,7 +47,9 @@ pub use camera::{Camera, Distortion};
 pub use crop::Crop;
 pub use demo::{DEMO, demo_names, unpack_demo};
 pub use error::CaptureError;
-pub use load::{Covered, PixelCounts, input_files, read_cameras, read_covered, read_radiance};
+pub use load::{
+    Covered, PixelCounts, input_files, read_cameras, read_covered, read_probe, read_radiance,
+};
 pub use mesh::{Mesh, SurfacePoint};
 pub use mesh_file::origin_near;
 pub use picture::exr_problem;

@@ -171,6 +171,50 @@ pub fn read_radiance(path: &Path) -> Result<(u32, u32, Vec<[f32; 3]>), CaptureEr
     Ok((picture.width, picture.height, picture.radiance))
 }
 
+/// Reads a light probe: a lat-long picture of the light from everywhere, twice as wide as high, in floating point and with light in
+/// it. Linear radiance as stored, RGB, row by row from the top; negative values become zero.
+pub fn read_probe(path: &Path) -> Result<(u32, u32, Vec<[f32; 3]>), CaptureError> {
+    let picture = Picture::read(path, "file", true, &|_| Ok(()))?;
+    let refused = |problem: String, advice: &str| {
+        Err(CaptureError::NoProbe {
+            path: path.to_owned(),
+            problem,
+            advice: advice.to_owned(),
+        })
+    };
+    if picture.encoding != Encoding::Float {
+        return refused(
+            "its values end at white, and lights are brighter than that".to_owned(),
+            "give an EXR or Radiance HDR picture",
+        );
+    }
+    let (width, height) = (picture.width, picture.height);
+    if u64::from(width) != 2 * u64::from(height) {
+        return refused(
+            format!(
+                "it is {width}×{height} pixels, and a lat-long picture of the light all around is twice as wide as high"
+            ),
+            "unwrap it to one",
+        );
+    }
+    let is_finite = |pixel: &&[f32; 3]| pixel.iter().all(|v| v.is_finite());
+    let broken = picture.rgb.len() - picture.rgb.iter().filter(is_finite).count();
+    if broken > 0 {
+        return refused(
+            format!("{broken} of its pixels are not finite numbers"),
+            "export it anew without them",
+        );
+    }
+    if picture.rgb.as_flattened().iter().all(|&v| v <= 0.0) {
+        return refused(
+            "it is black everywhere".to_owned(),
+            "give a picture with light in it",
+        );
+    }
+    let radiance = picture.rgb.iter().map(|p| p.map(|v| v.max(0.0)));
+    Ok((width, height, radiance.collect()))
+}
+
 /// A picture with the object's coverage of each pixel.
 pub struct Covered {
     /// Width in pixels.

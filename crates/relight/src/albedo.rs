@@ -34,6 +34,15 @@ pub struct Albedo {
     pub ambient: Vec3,
 }
 
+/// Whether there is light beside the lamps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ambient {
+    /// There may be some: it is looked for.
+    Sought,
+    /// The lighting is all there is.
+    None,
+}
+
 /// Divides the texture by its irradiance, fills what is unknown, and lets `texture` follow: unseen texels get filled
 /// albedo × own irradiance, and the confidence of filled ones is lowered.
 pub fn separate(
@@ -42,6 +51,7 @@ pub fn separate(
     shader: &Shader,
     triangles: &TriangleShares,
     texture: &mut DiffuseTexture,
+    ambient: Ambient,
 ) -> Albedo {
     let mut irradiance = texel_irradiance(scene, atlas, shader, triangles);
     if let Some(surroundings) = scene.surroundings {
@@ -54,7 +64,10 @@ pub fn separate(
         );
     }
     let places = Places::new(scene.mesh);
-    let ambient = add_ambient(scene, atlas, &places, texture, &mut irradiance);
+    let ambient = match ambient {
+        Ambient::Sought => add_ambient(scene, atlas, &places, texture, &mut irradiance),
+        Ambient::None => Vec3::ZERO,
+    };
     let typical = typical_irradiance(atlas, &irradiance);
     // The quotient at each texel, and how far it is known, 0 to 1.
     let quotients: Vec<(Vec3, f32)> = atlas

@@ -6,8 +6,11 @@ use std::path::Path;
 use glam::{DVec3, Quat, Vec2, Vec3};
 
 use super::lighting::{LampNodes, LightNode};
-use rekindle_capture::read_radiance;
-use rekindle_scene::hemisphere::{direction_from_lat_long, lat_long_from_direction};
+use rayon::prelude::*;
+use rekindle_capture::{CaptureError, read_probe, read_radiance};
+use rekindle_scene::hemisphere::{
+    HemisphereGrid, direction_from_lat_long, lat_long_from_direction,
+};
 
 /// Larger pictures are averaged down to this many columns first: finer than any lobe needs.
 const MAX_COLUMNS: usize = 1024;
@@ -68,6 +71,13 @@ impl LatLong {
                 path.display()
             ))
         }
+    }
+
+    /// Reads the light of a place, of which nothing may be missing: see [`read_probe`].
+    pub fn load_probe(path: &Path) -> Result<Self, CaptureError> {
+        let (width, height, rgb) = read_probe(path)?;
+        let radiance: Vec<Vec3> = rgb.into_iter().map(Vec3::from).collect();
+        Ok(Self::new(width as usize, height as usize, &radiance))
     }
 
     fn new(width: usize, height: usize, radiance: &[Vec3]) -> Self {
@@ -227,6 +237,66 @@ impl LatLong {
         })
     }
 
+    /// Radiance of each of its pixels, row by row from the top.
+    pub fn pixels(&self) -> &[Vec3] {
+        &self.radiance
+    }
+
+    /// Part of its flux that comes from directions whose cosine to `up` is below zero once it is turned, all channels together.
+    pub fn share_below(&self, turn: Quat, up: Vec3) -> f32 {
+        let (mut below, mut all) = (0.0, 0.0);
+        for row in 0..self.height {
+            let angle = self.solid_angle(row);
+            for column in 0..self.width {
+                let pixel = self.radiance[row * self.width + column];
+                let flux = angle * f64::from(pixel.element_sum());
+                all += flux;
+                if (turn * self.direction(row, column)).dot(up) < 0.0 {
+                    below += flux;
+                }
+            }
+        }
+        (below / all.max(f64::MIN_POSITIVE)) as f32
+    }
+
+    /// Radiance of every node of a grid under it, RGB, turned by `turn`. All flux from where there are nodes goes to the nearest.
+    pub fn on_nodes(&self, grid: &HemisphereGrid, turn: Quat) -> Vec<[f32; 3]> {
+        // Pixels larger than half the distance of nodes are cut.
+        let pixel = std::f32::consts::PI / self.height as f32;
+        let cuts = (2.0 * pixel / grid.spacing()).ceil().max(1.0) as usize;
+        let (rows, columns) = (self.height * cuts, self.width * cuts);
+        let angle = |row: usize| {
+            let polar = |r: usize| (std::f64::consts::PI * r as f64 / rows as f64).cos();
+            (polar(row) - polar(row + 1)) * std::f64::consts::TAU / columns as f64
+        };
+        let of_row = |row: usize| -> Vec<Option<u32>> {
+            let nearest = |column: usize| {
+                let at = Vec2::new(
+                    (column as f32 + 0.5) / columns as f32,
+                    (row as f32 + 0.5) / rows as f32,
+                );
+                let node = grid.nearest(turn * direction_from_lat_long(at))?;
+                Some(node as u32)
+            };
+            (0..columns).map(nearest).collect()
+        };
+        let nearest: Vec<Vec<Option<u32>>> = (0..rows).into_par_iter().map(of_row).collect();
+        let mut flux = vec![DVec3::ZERO; grid.directions.len()];
+        for (row, nearest) in nearest.iter().enumerate() {
+            let angle = angle(row);
+            for (column, node) in nearest.iter().enumerate() {
+                let pixel = self.radiance[row / cuts * self.width + column / cuts];
+                if let Some(node) = node {
+                    flux[*node as usize] += angle * pixel.as_dvec3();
+                }
+            }
+        }
+        let unit = 1.0 / f64::from(grid.solid_angle);
+        flux.into_iter()
+            .map(|f| (unit * f).as_vec3().to_array())
+            .collect()
+    }
+
     /// Radiance over all directions, RGB × steradians.
     pub fn flux(&self) -> Vec3 {
         let rows = self.radiance.chunks(self.width).enumerate();
@@ -295,6 +365,35 @@ mod tests {
             .map(|n| n.direction * n.flux().x)
             .sum();
         assert!(moment.length() < 0.02 * flux.x, "{moment}");
+    }
+
+    #[test]
+    fn nodes_hold_the_flux_of_pixels_of_any_size_where_the_turn_puts_it() {
+        let sun = Vec3::new(0.6, 0.64, 0.48);
+        let sky = picture(|d| Vec3::splat(if d.dot(sun) > 0.99 { 50.0 } else { 1.0 }));
+        let turn = Quat::from_rotation_y(0.7);
+        for frequency in [8, 40] {
+            let above = HemisphereGrid::new(frequency, Vec3::Y, None, Vec3::ZERO);
+            let grid = above.to_whole();
+            let nodes = sky.on_nodes(&grid, turn);
+            let flux: Vec3 = nodes.iter().map(|&r| Vec3::from(r)).sum::<Vec3>() * grid.solid_angle;
+            assert!(
+                (flux / sky.flux() - 1.0).abs().max_element() < 1e-4,
+                "{flux}"
+            );
+            let brightest = (0..nodes.len()).max_by(|&a, &b| nodes[a][0].total_cmp(&nodes[b][0]));
+            let shown = grid.directions[brightest.unwrap()];
+            let off = shown.angle_between(turn * sun);
+            assert!(off < 0.15 + grid.spacing(), "off by {off}");
+            // What has no node near it is left out.
+            let half: f32 = sky.on_nodes(&above, turn).iter().map(|r| r[0]).sum();
+            let share = half * above.solid_angle / flux.x;
+            let below = sky.share_below(turn, Vec3::Y);
+            assert!(
+                (share - (1.0 - below)).abs() < 0.1,
+                "{share} above, {below} below"
+            );
+        }
     }
 
     #[test]

@@ -34,7 +34,7 @@ mod shading;
 mod triangle_shares;
 mod view_transform;
 
-pub use albedo::{Albedo, separate};
+pub use albedo::{Albedo, Ambient, separate};
 pub use diffuse::{DiffuseTexture, ViewFit, reconstruct, srgb};
 pub use edits::{Edit, EditError, apply, load};
 pub use environment::LatLong;

@@ -79,6 +79,7 @@ fn solved(brdf: Option<Brdf>, radius: Option<f32>) -> Solution {
         origin: String::new(),
         corrections: Vec::new(),
         sigma_interval95: None,
+        known_light: None,
         grid,
         radiance,
         lamps,

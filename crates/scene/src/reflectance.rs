@@ -50,8 +50,9 @@ pub struct Brdf {
     pub model: SpecularModel,
     /// Roughness σ: standard deviation of the facets' tilt, radians.
     pub sigma: f32,
-    /// What it reflects specularly, as a multiple of what the object's main lobe does; 1 for that. Lobes have the peak 1 whatever
-    /// it is, see [`Gloss::height`]; what they take from the diffuse part depends on it.
+    /// What it reflects specularly, as a multiple of what the object's main lobe does; 1 for that, and where a known light tells how
+    /// much that reflects, as a multiple of what such surfaces usually do. Lobes have the peak 1 whatever it is, see
+    /// [`Gloss::height`]; what they take from the diffuse part depends on it.
     pub strength: f32,
 }
 
@@ -149,6 +150,15 @@ impl Brdf {
             model,
             sigma,
             strength: 1.0,
+        }
+    }
+
+    /// The same lobe of a surface that reflects so much at normal incidence, F₀.
+    #[must_use]
+    pub fn with_reflectance(self, reflectance: f32) -> Self {
+        Self {
+            strength: reflectance / self.model.usual_reflectance(),
+            ..self
         }
     }
 
@@ -254,11 +264,8 @@ impl Brdf {
     /// The same taken for any model: K_S of a surface that reflects as much at normal incidence as plastic and varnish do, 4 %,
     /// or as metals do, one half.
     pub fn usual_specular_scale(&self) -> f32 {
-        let reflectance = match self.model {
-            SpecularModel::Metal => USUAL_METAL,
-            _ => NORMAL_FRESNEL,
-        };
-        self.strength * reflectance / (8.0 * std::f32::consts::PI * self.sigma * self.sigma)
+        self.strength * self.model.usual_reflectance()
+            / (8.0 * std::f32::consts::PI * self.sigma * self.sigma)
     }
 
     /// Part of the light from a direction at the cosine `cos_light` that facets seen at the cosine `cos_between` (of
@@ -426,6 +433,14 @@ impl SpecularModel {
             Self::Beckmann => "Beckmann",
             Self::Ggx => "GGX",
             Self::Metal => "Metal",
+        }
+    }
+
+    /// What such surfaces usually reflect at normal incidence, F₀.
+    fn usual_reflectance(self) -> f32 {
+        match self {
+            Self::Metal => USUAL_METAL,
+            _ => NORMAL_FRESNEL,
         }
     }
 

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::KnownLight;
 use rekindle_estimate::estimate::{Diagnostics, Iteration, Method};
 use rekindle_estimate::registration::Correction;
 use rekindle_scene::reflectance::{Gloss, SpecularModel};
@@ -50,6 +51,9 @@ pub(super) struct Manifest {
     pub(super) corrections: Vec<Correction>,
     pub(super) sigma: Option<f32>,
     pub(super) sigma_interval95: Option<[f32; 2]>,
+    /// Where the light was given and not estimated; not in solutions that were written before it could be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) known_light: Option<KnownLight>,
     /// The glosses of the parts, where they differ; there are textures then.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) gloss_parts: Vec<Gloss>,

@@ -29,6 +29,7 @@ mod diffuse_alone;
 mod error;
 mod exr_file;
 mod format;
+mod known_light;
 mod materials;
 mod mesh_file;
 mod origin;
@@ -39,11 +40,12 @@ pub use diffuse_alone::diffuse_alone;
 pub use error::SolutionError;
 pub use exr_file::{write_rgb, write_rgba};
 pub use format::{Fit, Skipped};
+pub use known_light::{KnownLight, LightProbe};
 pub use materials::SurfacePart;
 pub use mesh_file::{write_obj, write_plain_obj};
 pub use origin::origin;
 pub use placed::{manifest_of, write_mesh_transform, write_placed_mesh};
-pub use solve::{SolveOptions, solve};
+pub use solve::{SolveOptions, solve, solve_under};
 
 use std::fs;
 use std::io;
@@ -126,6 +128,8 @@ pub struct Solution {
     pub corrections: Vec<Correction>,
     /// 95 % interval of σ, radians.
     pub sigma_interval95: Option<[f32; 2]>,
+    /// The light's picture, where the light was given and not estimated.
+    pub known_light: Option<KnownLight>,
     /// The nodes of light.
     pub grid: HemisphereGrid,
     /// Radiance of every node, RGB, `K_S`-scaled.
@@ -170,7 +174,7 @@ impl Solution {
             &self.radiance,
             &self.lamps,
             self.ambient,
-            self.brdf,
+            (self.brdf, self.known_light.as_ref()),
         )
     }
 
@@ -357,6 +361,7 @@ impl Solution {
             corrections: self.corrections.clone(),
             sigma: self.brdf.map(|b| b.sigma),
             sigma_interval95: self.sigma_interval95,
+            known_light: self.known_light.clone(),
             gloss_parts: (self.gloss.as_ref())
                 .map_or_else(Vec::new, |gloss| gloss.glosses().to_vec()),
             hemisphere: Hemisphere {
@@ -449,6 +454,7 @@ impl Solution {
             }
             None => None,
         };
+        let brdf = stored_lobe(&manifest);
         let origin = mesh.mesh.origin;
         grid.centre = (DVec3::from(manifest.hemisphere.centre) - origin).as_vec3();
         let cameras = read_stored_cameras(&folder.join("cameras.json"), origin);
@@ -462,10 +468,8 @@ impl Solution {
             name: manifest.name,
             origin: manifest.origin,
             method: manifest.method,
-            brdf: manifest
-                .specular_model
-                .zip(manifest.sigma)
-                .map(|(model, sigma)| Brdf::new(model, sigma)),
+            brdf,
+            known_light: manifest.known_light,
             chosen_because: manifest.chosen_because,
             corrections: manifest.corrections,
             sigma_interval95: manifest.sigma_interval95,
@@ -585,7 +589,7 @@ pub fn lighting(
     radiance: &[[f32; 3]],
     lamps: &[SolutionLamp],
     ambient: Vec3,
-    brdf: Option<Brdf>,
+    (brdf, known): (Option<Brdf>, Option<&KnownLight>),
 ) -> Lighting {
     let node = |i: u32| LightNode {
         direction: grid.directions[i as usize],
@@ -608,11 +612,16 @@ pub fn lighting(
         .collect();
     let flux: Vec3 = lamps.iter().map(LampNodes::flux).sum();
     let total = flux.element_sum();
-    // Of a metal and its light only the product is seen: the light is taken as white, so that new light is coloured.
-    let tint = match brdf {
-        Some(brdf) if brdf.model == SpecularModel::Metal && total > 0.0 => 3.0 * flux / total,
-        _ => Vec3::ONE,
+    // Of a metal and its light only the product is seen: where the light isn't known it is taken as white, so that new light is
+    // coloured.
+    let tint = match (brdf, known) {
+        (Some(brdf), Some(known)) if brdf.model == SpecularModel::Metal => known.tint(),
+        (Some(brdf), None) if brdf.model == SpecularModel::Metal && total > 0.0 => {
+            Some(3.0 * flux / total)
+        }
+        _ => None,
     };
+    let tint = tint.unwrap_or(Vec3::ONE);
     Lighting {
         lamps,
         remainder: strongest(strays, NEGLIGIBLE_SHARE * total),
@@ -750,6 +759,16 @@ fn read_nodes(
     Ok((radiance, nodes.lights))
 }
 
+/// The main lobe: of the strength that was found where the light was given.
+fn stored_lobe(manifest: &Manifest) -> Option<Brdf> {
+    let (model, sigma) = manifest.specular_model.zip(manifest.sigma)?;
+    let lobe = Brdf::new(model, sigma);
+    Some(match &manifest.known_light {
+        Some(known) => lobe.with_reflectance(known.reflectance()),
+        None => lobe,
+    })
+}
+
 /// The hemisphere that the manifest describes, if everything in it makes sense.
 fn check_manifest(manifest: &Manifest) -> Result<HemisphereGrid, String> {
     let hemisphere = &manifest.hemisphere;
@@ -778,6 +797,9 @@ fn check_manifest(manifest: &Manifest) -> Result<HemisphereGrid, String> {
     }
     if manifest.sigma.is_some_and(|s| !(s > 1e-4 && s < 2.0)) {
         return Err("sigma is out of range".to_owned());
+    }
+    if let Some(fault) = manifest.known_light.as_ref().and_then(KnownLight::fault) {
+        return Err(fault.to_owned());
     }
     if manifest.sigma.is_some() != manifest.specular_model.is_some() {
         return Err("sigma and specular_model do not fit together".to_owned());
@@ -864,6 +886,7 @@ mod tests {
             origin: String::new(),
             corrections: Vec::new(),
             sigma_interval95: Some([0.07, 0.08]),
+            known_light: None,
             lamps: vec![SolutionLamp {
                 name: "Light 1".to_owned(),
                 direction: grid.directions[5],

@@ -11,7 +11,7 @@ const LEAST_SHARE: f32 = 0.005;
 /// A part of the surface with a gloss of its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfacePart {
-    /// Its lobe; the strength is a multiple of the main lobe's, and 0 where nothing is reflected.
+    /// Its lobe; the strength is 0 where nothing is reflected.
     pub brdf: Brdf,
     /// Share of the surface, 0 to 1.
     pub share: f32,
@@ -75,8 +75,7 @@ impl Solution {
             return format!("no gloss on {share:.0} %");
         }
         let roughness = part.roughness();
-        let is_main =
-            part.brdf.strength == 1.0 && Some(part.brdf.sigma) == self.brdf.map(|b| b.sigma);
+        let is_main = Some(part.brdf) == self.brdf;
         // Writing into a string can't fail.
         let mut text = format!("roughness {roughness:.2}");
         if is_main && let Some([low, high]) = self.sigma_interval95 {
@@ -85,7 +84,8 @@ impl Solution {
             let _ = write!(text, " ± {}", two_digits(error));
         }
         if !is_main {
-            let _ = write!(text, " at {:.2} times the strength", part.brdf.strength);
+            let strength = part.brdf.strength / self.brdf.map_or(1.0, |main| main.strength);
+            let _ = write!(text, " at {strength:.2} times the strength");
         }
         if several {
             let _ = write!(text, " on {share:.0} %");

@@ -6,15 +6,16 @@ use std::path::Path;
 use siphasher::sip128::{Hasher128, SipHasher13};
 
 use super::format::VERSION;
-use super::{Solution, SolveOptions, read_manifest};
+use super::{LightProbe, Solution, SolveOptions, read_manifest};
 use rekindle_capture::Capture;
 
-/// A digest of what a solution is made of: the capture, the options, the program. Hexadecimal.
-pub fn origin(capture: &Capture, options: &SolveOptions) -> String {
+/// A digest of what a solution is made of: the capture, the options, the light where it is given, the program. Hexadecimal.
+pub fn origin(capture: &Capture, options: &SolveOptions, light: Option<&LightProbe>) -> String {
     let mut hasher = SipHasher13::new();
     capture.fingerprint().hash(&mut hasher);
     // Options are plain values, all of which this shows.
     format!("{options:?}").hash(&mut hasher);
+    light.hash(&mut hasher);
     (VERSION, env!("CARGO_PKG_VERSION")).hash(&mut hasher);
     program().hash(&mut hasher);
     format!("{:032x}", hasher.finish128().as_u128())

@@ -7,21 +7,25 @@ use std::time::Instant;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Fit, HemispherePicture, Skipped, Solution, SolutionLamp, lighting, origin};
+use super::{
+    Fit, HemispherePicture, KnownLight, LightProbe, Skipped, Solution, SolutionLamp, lighting,
+    origin,
+};
 use rekindle_base::math::rounding::round_to_halves;
 use rekindle_capture::{Camera, Capture, Mesh, View};
 use rekindle_estimate::estimate::{
-    Diagnostics, Estimate, EstimateInput, EstimateParams, Interim, Iteration, Observer, Stopped,
-    estimate, watched,
+    Diagnostics, Estimate, EstimateInput, EstimateParams, GivenLight, Interim, Iteration, Observer,
+    Stopped, estimate, estimate_under, watched,
 };
 use rekindle_estimate::preflight::misplacements;
 use rekindle_estimate::registration::{Correction, corrected, describe, register, within_outlines};
 use rekindle_relight::{
-    Albedo, DiffuseTexture, GlossMap, Interreflection, Lighting, Scene, Shader, Surroundings,
-    TriangleShares, ViewFit, reconstruct, separate,
+    Albedo, Ambient, DiffuseTexture, GlossMap, Interreflection, Lighting, Scene, Shader,
+    Surroundings, TriangleShares, ViewFit, reconstruct, separate,
 };
 use rekindle_scene::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
+    rest,
 };
 use rekindle_scene::reflectance::Brdf;
 use rekindle_scene::shortcuts::Shortcuts;
@@ -107,6 +111,17 @@ pub fn solve(
     load_s: f64,
     observer: &mut dyn Observer,
 ) -> Result<Solution, Stopped> {
+    solve_under(stated, options, None, load_s, observer)
+}
+
+/// Solves a capture, under `light` where that is known: no light is estimated then, and reflectances are absolute.
+pub fn solve_under(
+    stated: &Capture,
+    options: &SolveOptions,
+    light: Option<&LightProbe>,
+    load_s: f64,
+    observer: &mut dyn Observer,
+) -> Result<Solution, Stopped> {
     let mut clock = Clock {
         since: Instant::now(),
         stages: vec![("load".to_owned(), load_s)],
@@ -120,7 +135,7 @@ pub fn solve(
     } else {
         measured.registered(stated, observer)?
     };
-    let grid = hemisphere(stated, options);
+    let grid = hemisphere(stated, options, light);
     let misplaced = misplacements(
         &capture.views,
         &measured.surfaces,
@@ -139,7 +154,7 @@ pub fn solve(
         occluder: &measured.occluder,
         grid: &grid,
     };
-    let found = estimate(&input, &options.estimate, &mut Part { observer })?;
+    let (found, known_light) = found(&input, &options.estimate, light, &mut Part { observer })?;
     if !found.exposures.is_empty() {
         corrections = with_exposures(corrections, &found.exposures);
         capture = corrected(stated, &corrections);
@@ -152,8 +167,13 @@ pub fn solve(
     }
     clock.lap("estimate");
 
-    let lamps = name_lamps(&found);
-    let light = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, found.brdf);
+    let lamps = name_lamps(&found, known_light.is_some());
+    let lobe = (found.brdf, known_light.as_ref());
+    let lit = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, lobe);
+    let ambient = match light {
+        Some(_) => Ambient::None,
+        None => Ambient::Sought,
+    };
     let shortcuts = Shortcuts::without(options.estimate.avoided);
     let sight = Sight {
         mesh,
@@ -164,7 +184,8 @@ pub fn solve(
     };
     let gloss = gloss(&found, mesh, &measured.atlas, &minimum);
     let lobe = (found.brdf, gloss.as_ref());
-    let (mut texture, albedo) = textures(sight, lobe, &light, &minimum, &mut clock, observer)?;
+    let (mut texture, albedo) =
+        textures(sight, lobe, (&lit, ambient), &minimum, &mut clock, observer)?;
     let atlas = measured.atlas;
 
     let mut skipped = skipped(&found, &corrections);
@@ -180,12 +201,13 @@ pub fn solve(
     ];
     Ok(Solution {
         name: stated.name.clone(),
-        origin: origin(given, options),
+        origin: origin(given, options, light),
         method: found.method,
         brdf: found.brdf,
         chosen_because: found.chosen_because,
         corrections,
         sigma_interval95: found.sigma_interval95,
+        known_light,
         grid: found.grid,
         radiance: found.radiance,
         lamps,
@@ -211,6 +233,26 @@ pub fn solve(
         gloss,
         pictures,
     })
+}
+
+/// Roughness and light; under `light` where that is known.
+fn found(
+    input: &EstimateInput<'_>,
+    params: &EstimateParams,
+    light: Option<&LightProbe>,
+    observer: &mut dyn Observer,
+) -> Result<(Estimate, Option<KnownLight>), Stopped> {
+    let Some(probe) = light else {
+        return Ok((estimate(input, params, observer)?, None));
+    };
+    let given = GivenLight {
+        nodes: &|turn| probe.on_nodes(input.grid, turn),
+        turn: probe.turn,
+    };
+    let under = estimate_under(input, params, &given, observer)?;
+    let brdf = under.estimate.brdf;
+    let known = KnownLight::new(probe, under.turn, brdf, under.specular_scale);
+    Ok((under.estimate, Some(known)))
 }
 
 /// The gloss of every texel, where parts of the surface differ.
@@ -243,7 +285,7 @@ struct Sight<'a> {
 fn textures(
     sight: Sight<'_>,
     (brdf, gloss): (Option<Brdf>, Option<&GlossTexture>),
-    light: &Lighting,
+    (light, ambient): (&Lighting, Ambient),
     minimum: &MinimumTexture,
     clock: &mut Clock,
     observer: &mut dyn Observer,
@@ -289,7 +331,7 @@ fn textures(
         };
         clock.lap("texture");
         report(&mut observer, ALBEDO)?;
-        let albedo = separate(&scene, atlas, &shader, &seen, &mut texture);
+        let albedo = separate(&scene, atlas, &shader, &seen, &mut texture, ambient);
         clock.lap("albedo");
         // What long loops give after a stop is of no use.
         report(&mut observer, ALBEDO)?;
@@ -401,15 +443,23 @@ fn report(observer: &mut dyn Observer, (what, fraction): (&str, f32)) -> Result<
     }
 }
 
-/// The nodes on which lights are sought.
-fn hemisphere(capture: &Capture, options: &SolveOptions) -> HemisphereGrid {
+/// The nodes on which lights are sought, or known.
+fn hemisphere(
+    capture: &Capture,
+    options: &SolveOptions,
+    light: Option<&LightProbe>,
+) -> HemisphereGrid {
     let stated = capture.light_hemisphere.radius.map(|r| r as f32);
-    HemisphereGrid::new(
+    let above = HemisphereGrid::new(
         options.frequency,
         capture.light_hemisphere.up.as_vec3(),
         options.radius.or(stated),
         capture.mesh.centre(),
-    )
+    );
+    match light {
+        Some(probe) => probe.grid(above),
+        None => above,
+    }
 }
 
 /// Pictures of the initial hemisphere and of each view's partial one (2.2).
@@ -466,8 +516,14 @@ fn hemispheres(
     Ok((pictures, minimum))
 }
 
-fn name_lamps(found: &Estimate) -> Vec<SolutionLamp> {
-    find_lamps(&found.grid, &found.radiance)
+/// The lamps with their names. Of a known light nothing is noise: what belongs to no lamp is one of its own.
+fn name_lamps(found: &Estimate, is_known: bool) -> Vec<SolutionLamp> {
+    let mut lamps = find_lamps(&found.grid, &found.radiance);
+    if is_known {
+        lamps.extend(rest(&found.grid, &found.radiance, &lamps));
+        lamps.sort_by(|a, b| b.mean_flux().total_cmp(&a.mean_flux()));
+    }
+    lamps
         .into_iter()
         .enumerate()
         .map(|(i, lamp)| SolutionLamp {

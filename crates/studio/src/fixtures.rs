@@ -54,7 +54,7 @@ pub fn solution() -> Arc<Solution> {
     radiance[grid.nearest(Vec3::new(0.0, 0.6, -0.8)).unwrap_or(0)] = [9.0; 3];
     let ambient = Vec3::splat(0.4);
     let atlas = Atlas::new(&mesh, &vec![24.0; mesh.triangles.len()]);
-    let light = lighting(&grid, &radiance, &lamps, ambient, brdf);
+    let light = lighting(&grid, &radiance, &lamps, ambient, (brdf, None));
     let shader = Shader::new(&occluder, brdf, &light);
     let scene = Scene {
         mesh: &mesh,
@@ -83,6 +83,7 @@ pub fn solution() -> Arc<Solution> {
         origin: String::new(),
         corrections: Vec::new(),
         sigma_interval95: None,
+        known_light: None,
         grid,
         radiance,
         lamps,

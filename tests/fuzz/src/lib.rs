@@ -154,6 +154,7 @@ pub fn solution() -> Solution {
         chosen_because: String::new(),
         corrections: Vec::new(),
         sigma_interval95: Some([0.09, 0.11]),
+        known_light: None,
         grid,
         radiance,
         lamps: lamps.into(),

@@ -34,7 +34,7 @@ use rekindle_scene::shortcuts::{Shortcut, Shortcuts};
 use rekindle_scene::surface::{GlossParts, Occluder};
 
 /// Roughnesses compared on the coarsest cells, radians.
-const SIGMAS: [f32; 6] = [0.34, 0.21, 0.13, 0.08, 0.05, 0.03];
+pub const SIGMAS: [f32; 6] = [0.34, 0.21, 0.13, 0.08, 0.05, 0.03];
 
 /// The roughnesses that fit two models differ by less than this factor.
 const NEAR_RATIO: f32 = 2.0;
@@ -647,7 +647,8 @@ impl Solver<'_> {
         state.restricted(|cell| near.contains(cell))
     }
 
-    fn report(&self, state: &State<'_>, watch: &mut Watch<'_>) -> Result<(), Stopped> {
+    /// Counts a state as an iteration and shows it to the observer.
+    pub fn report(&self, state: &State<'_>, watch: &mut Watch<'_>) -> Result<(), Stopped> {
         let scale = self.coarse.scale;
         let iteration = Iteration {
             iteration: watch.iterations.len() as u32 + 1,

@@ -195,6 +195,26 @@ impl Observations {
         (without, places)
     }
 
+    /// Every second point, from the first or the second on.
+    #[must_use]
+    pub fn every_second(&self, first: usize) -> Self {
+        let mut some = Self {
+            glosses: self.glosses.clone(),
+            points: Vec::new(),
+            rows: Vec::new(),
+            ..*self
+        };
+        for point in self.points.iter().skip(first).step_by(2) {
+            let start = some.rows.len();
+            some.rows.extend(&self.rows[point.rows.clone()]);
+            some.points.push(Point {
+                rows: start..some.rows.len(),
+                ..point.clone()
+            });
+        }
+        some
+    }
+
     /// The same on a surface whose parts differ in gloss.
     #[must_use]
     pub fn of_parts(&self, parts: &GlossParts) -> Self {

@@ -53,7 +53,7 @@ const PROBE: f64 = 0.03;
 const MOST_PROBES: usize = 6;
 
 /// Groups of points of like normals whose pulls on σ are compared.
-const CLUSTERS: usize = 32;
+pub const CLUSTERS: usize = 32;
 
 /// A shift of σ by less than this part of it is not worth solving the lights again.
 const NO_SHIFT: f64 = 1e-5;
@@ -130,6 +130,14 @@ impl<'a> State<'a> {
             cells,
             brdf,
         }
+    }
+
+    /// The same under other lights, radiance per cell.
+    #[must_use]
+    pub fn lit_by(mut self, radiance: Vec<[f32; 3]>) -> Self {
+        self.radiance = radiance;
+        self.predict();
+        self
     }
 
     /// The lights at another σ, sought from darkness.
@@ -669,7 +677,7 @@ impl<'a> State<'a> {
 }
 
 /// Root of the sum of squares of the pulls of runs of `size` points.
-fn spread(pulls: &[f64], size: usize) -> f64 {
+pub fn spread(pulls: &[f64], size: usize) -> f64 {
     let runs = pulls.chunks(size.max(1));
     runs.map(|run| run.iter().sum::<f64>().powi(2))
         .sum::<f64>()

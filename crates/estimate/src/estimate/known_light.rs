@@ -1,0 +1,823 @@
+//! What does the surface reflect under a light that is known?
+//!
+//! A picture of all the light of the place leaves little to be sought: the roughness σ, the strength `K_S` of the lobe, and how
+//! the picture is turned about the vertical. With S(σ) the specular radiance of a row under that light for `K_S` = 1, rows are
+//!
+//! `y = t D + K_S S(σ)`
+//!
+//! and `K_S` follows from σ by least squares, the diffuse colours D eliminated as everywhere. σ moves by Gauss-Newton steps on
+//! what is left (Kaufman 1975, as for lights that are sought). Nothing is open then: lights have their units, and so have `K_S`, the
+//! reflectance at normal incidence F₀ = 8πσ² `K_S` and the albedo.
+//!
+//! The turn is the one under which highlights are explained best. It is sought on every second point; the others, which had no
+//! say, tell whether it is better than any other turn beyond chance.
+
+use std::collections::{BTreeMap, BinaryHeap};
+use std::f32::consts::{PI, TAU};
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use glam::{DVec3, Quat, Vec3};
+use rayon::prelude::*;
+
+use super::cells::{Cell, Pyramid};
+use super::design::Design;
+use super::fast::{self, SIGMAS, Solver, Watch};
+use super::misfit::Misfit;
+use super::observations::{Observations, Point, Seen};
+use super::observer::{Interim, Observer, Stopped, go_on, watched};
+use super::state::{CLUSTERS, State, spread};
+use super::weights::{Residuals, eliminate, initial_weights, magnitude, residuals, robust_weights};
+use super::workspace::Workspace;
+use super::{
+    Estimate, EstimateInput, EstimateParams, HALF_INTERVAL, Reduced, SpecularChoice, diagnose,
+};
+use rekindle_base::math::ranks::{SURE, signed_ranks};
+use rekindle_scene::hemisphere::HemisphereGrid;
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
+use rekindle_scene::shortcuts::Shortcuts;
+use rekindle_scene::surface::GlossParts;
+
+/// Turns that are tried first, 7.5° apart: the widest lobe of those below sees light 23° wide.
+const TURNS: usize = 48;
+/// Roughnesses with which they are tried, radians.
+const SEARCHED: [f32; 2] = [0.2, 0.08];
+/// Turns that differ by less than this are one, radians.
+const SAME_TURN: f32 = 0.35;
+/// Turns that are refined, and the step at which refining ends, radians.
+const REFINED: usize = 3;
+const LEAST_TURN: f32 = 2e-3;
+/// Cells into which the light is divided, fewer while it is turned and forms of the lobe are compared.
+const CELLS: usize = 1600;
+const FEW_CELLS: usize = 800;
+/// Points that roughness and strength are fitted to.
+const POINTS: usize = 4000;
+/// A form of the lobe that leaves so many times as much as another from the start is not improved.
+const CLEARLY_MORE: f64 = 1.25;
+/// Rounds of weights, strength and roughness in turn, in the end and while the light is turned.
+const ROUNDS: usize = 15;
+const TURNING_ROUNDS: usize = 3;
+/// The last step of σ and of the strength, as a part of them.
+const SETTLED: f64 = 3e-4;
+/// Longest step of σ as a part of it, and its range, radians.
+const LONGEST: f64 = 0.3;
+const LEAST_SIGMA: f32 = 0.003;
+const MOST_SIGMA: f32 = 1.0;
+/// Rounds in which glosses and the lobe take turns.
+const GLOSS_ROUNDS: usize = 2;
+/// More than this is reflected at normal incidence by no dielectric, as diamond reflects 17 %, and nothing reflects more than 1.
+const MOST_DIELECTRIC: f32 = 0.2;
+/// Less than this neither: water reflects 2 %.
+const LEAST_DIELECTRIC: f32 = 0.01;
+
+/// What is said where the surface shows no gloss.
+const NO_SPECULAR: &str = "No specular part was found: the given light, reflected, explains no differences between views. Everything \
+    is taken as diffuse; the albedo is in absolute units all the same.";
+/// What is said where the turn is open.
+const TURN_OPEN: &str = "The highlights don't tell how the given light is turned: another turn explains them about as well. State the turn \
+    in degrees (--light-rotation, or in the settings).";
+
+/// Light that is known.
+pub struct GivenLight<'a> {
+    /// Radiance per node of the input's grid, RGB, in the capture's units, once it is turned about the grid's pole by an angle,
+    /// radians, counter-clockwise seen from the pole.
+    pub nodes: &'a (dyn Fn(f32) -> Vec<[f32; 3]> + Sync),
+    /// The turn, radians; sought where it is not stated.
+    pub turn: Option<f32>,
+}
+
+/// What was found under a light that is known.
+pub struct UnderGivenLight {
+    /// Roughness, and the light times `K_S` in each channel as all estimates have it.
+    pub estimate: Estimate,
+    /// How the light is turned, radians.
+    pub turn: f32,
+    /// `K_S` of each channel: what the estimate's light was multiplied by; 1 where no specular part was found.
+    pub specular_scale: [f32; 3],
+}
+
+/// Estimates roughness and strength of the specular part of a capture under a light that is known.
+pub fn estimate_under(
+    input: &EstimateInput<'_>,
+    params: &EstimateParams,
+    light: &GivenLight<'_>,
+    observer: &mut dyn Observer,
+) -> Result<UnderGivenLight, Stopped> {
+    watched(observer, |mut watcher| {
+        let shortcuts = Shortcuts::without(params.avoided);
+        let reduced = Reduced::of(input);
+        let input = reduced.as_ref().map_or(*input, |r| r.input(input));
+        let stop = watcher.stop();
+        let pyramid = Pyramid::new(input.grid, fast::COARSEST);
+        let seen = Seen {
+            mesh: &input.capture.mesh,
+            views: &input.capture.views,
+            surfaces: input.surfaces,
+            parts: None,
+        };
+        let workspace = Workspace::new();
+        let solver = Solver {
+            seen,
+            occluder: input.occluder,
+            grid: input.grid,
+            pyramid: &pyramid,
+            near: input.grid.radius.map(|r| (input.grid.centre, r)),
+            coarse: Solver::coarse_observations(&seen, None, stop),
+            started: Instant::now(),
+            shortcuts: &shortcuts,
+            workspace: &workspace,
+            sigma: params.sigma,
+            stop,
+        };
+        let mut iterations = Vec::new();
+        let mut watch = Watch {
+            iterations: &mut iterations,
+            observer: &mut watcher,
+        };
+        let mut found = run(&solver, &input, params, light, &mut watch)?;
+        found.estimate.convergence = iterations;
+        found.estimate.left_out = shortcuts.counted();
+        if stop.load(Ordering::Relaxed) {
+            return Err(Stopped);
+        }
+        Ok(found)
+    })
+}
+
+fn run(
+    solver: &Solver<'_>,
+    input: &EstimateInput<'_>,
+    params: &EstimateParams,
+    light: &GivenLight<'_>,
+    watch: &mut Watch<'_>,
+) -> Result<UnderGivenLight, Stopped> {
+    let estimate = Estimate::dark(params.method, solver.grid);
+    if let Some(reason) = diagnose::unseparable(input.capture, &solver.coarse) {
+        let turn = light.turn.unwrap_or(0.0);
+        return Ok(diffuse(estimate, turn, (light.nodes)(turn), vec![reason]));
+    }
+    let turned = match light.turn {
+        Some(angle) => Turned { angle, doubt: None },
+        None => align(solver, light, watch)?,
+    };
+    go_on(watch.observer.progress("fitting roughness and gloss", 0.5))?;
+    let nodes = (light.nodes)(turned.angle);
+    let few = solver.coarse_colours();
+    let cells = LitCells::of(solver, &nodes, FEW_CELLS);
+    let lit = Lit::new(solver, &few, &cells);
+    let Some((lobe, because)) = choose(solver, &lit, params.specular, watch)? else {
+        let said = [Some(NO_SPECULAR.to_owned()), turned.doubt];
+        let said = said.into_iter().flatten().collect();
+        return Ok(diffuse(estimate, turned.angle, nodes, said));
+    };
+    let observations = solver.colours(POINTS);
+    let cells = LitCells::of(solver, &nodes, CELLS);
+    let lit = Lit::new(solver, &observations, &cells);
+    let lobe = lit.scaled(lobe.brdf, initial_weights(&lit.design));
+    let found = with_parts(solver, &lit, lobe, GLOSS_ROUNDS, watch)?;
+    Ok(told(estimate, found, turned, because, &nodes))
+}
+
+/// The light divided into cells, each of about one radiance.
+struct LitCells {
+    cells: Vec<Cell>,
+    /// In units of the observations' scale.
+    radiance: Vec<[f32; 3]>,
+}
+
+/// A cell with what is gained where it is split: the flux that lies elsewhere than its mean would have it.
+struct Split {
+    gain: f64,
+    cell: Cell,
+}
+
+impl PartialEq for Split {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+impl Eq for Split {}
+impl PartialOrd for Split {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Split {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        let by_gain = self.gain.total_cmp(&other.gain);
+        by_gain.then_with(|| self.cell.cmp(&other.cell))
+    }
+}
+
+impl LitCells {
+    /// About `count` cells for a radiance per node, finest where it varies most.
+    fn of(solver: &Solver<'_>, nodes: &[[f32; 3]], count: usize) -> Self {
+        let pyramid = solver.pyramid;
+        let fluxes = fluxes(pyramid, solver.grid, nodes);
+        let flux = |cell: &Cell| fluxes.get(cell).copied().unwrap_or(DVec3::ZERO);
+        let split = |cell: Cell| {
+            let children: Vec<Cell> = pyramid.children(cell).collect();
+            let mean = flux(&cell) / children.len().max(1) as f64;
+            let apart = children
+                .iter()
+                .map(|child| (flux(child) - mean).abs().element_sum());
+            let gain = apart.sum();
+            Split { gain, cell }
+        };
+        let mut waiting: BinaryHeap<Split> = pyramid.roots().into_iter().map(split).collect();
+        let mut done = Vec::new();
+        while let Some(Split { gain, cell }) = waiting.pop() {
+            if gain <= 0.0 || waiting.len() + done.len() >= count {
+                done.push(cell);
+            } else {
+                waiting.extend(pyramid.children(cell).map(split));
+            }
+        }
+        done.retain(|cell| flux(cell) != DVec3::ZERO);
+        done.sort_unstable();
+        let scale = f64::from(solver.coarse.scale);
+        let angles = pyramid.geometry(&done).solid_angles;
+        let radiance = done.iter().zip(angles).map(|(cell, angle)| {
+            (flux(cell) / (f64::from(angle) * scale))
+                .as_vec3()
+                .to_array()
+        });
+        Self {
+            radiance: radiance.collect(),
+            cells: done,
+        }
+    }
+}
+
+/// Flux of the cells of all levels that have any.
+fn fluxes(pyramid: &Pyramid, grid: &HemisphereGrid, nodes: &[[f32; 3]]) -> BTreeMap<Cell, DVec3> {
+    let mut fluxes = BTreeMap::new();
+    for (node, radiance) in nodes.iter().enumerate().filter(|(_, r)| **r != [0.0; 3]) {
+        let flux = f64::from(grid.solid_angle) * Vec3::from(*radiance).as_dvec3();
+        let mut cell = Cell {
+            level: pyramid.finest(),
+            node: node as u32,
+        };
+        loop {
+            *fluxes.entry(cell).or_insert(DVec3::ZERO) += flux;
+            if cell.level == 0 {
+                break;
+            }
+            cell = pyramid.parent(cell);
+        }
+    }
+    fluxes
+}
+
+/// Points under the light.
+struct Lit<'s> {
+    design: Design<'s>,
+    cells: Vec<Cell>,
+    radiance: Vec<[f32; 3]>,
+}
+
+/// A lobe under the light.
+#[derive(Clone)]
+struct Lobe {
+    brdf: Brdf,
+    /// `K_S` of each channel.
+    scale: [f64; 3],
+    /// One weight per row.
+    weights: Vec<f32>,
+    /// What it leaves.
+    residuals: Residuals,
+    /// Derivative of each row's specular radiance by σ, the diffuse colour and what another `K_S` would do taken out.
+    by_sigma: Vec<[f32; 3]>,
+}
+
+/// A step of σ, its slope taken out of the weighted squares, and the standard error of σ, radians.
+struct Step {
+    change: f64,
+    error: f64,
+}
+
+impl Lobe {
+    /// Sum of what it leaves.
+    fn left(&self) -> f64 {
+        self.residuals.absolute_sum()
+    }
+
+    /// F₀, the reflectance at normal incidence.
+    fn reflectance(&self) -> f32 {
+        8.0 * PI * self.brdf.sigma.powi(2) * self.mean_scale() as f32
+    }
+
+    /// `K_S` in the mean over channels.
+    fn mean_scale(&self) -> f64 {
+        self.scale.iter().sum::<f64>() / 3.0
+    }
+}
+
+impl<'s> Lit<'s> {
+    fn new(solver: &'s Solver<'_>, observations: &'s Observations, light: &LitCells) -> Self {
+        let widest = Brdf::new(SpecularModel::Ggx, SIGMAS[0]);
+        Self {
+            design: solver.shadowed_design(observations, &light.cells, &widest),
+            cells: light.cells.clone(),
+            radiance: if observations.gray {
+                light.radiance.iter().map(|&l| gray(l)).collect()
+            } else {
+                light.radiance.clone()
+            },
+        }
+    }
+
+    fn points(&self) -> &[Point] {
+        &self.design.observations.points
+    }
+
+    /// The best multiple of a lobe.
+    fn scaled(&self, brdf: Brdf, weights: Vec<f32>) -> Lobe {
+        let mut prediction = self.design.predict(&brdf, &self.radiance);
+        let rows = &self.design.observations.rows;
+        let mut measured: Vec<[f32; 3]> = rows.iter().map(|row| row.radiance).collect();
+        let mut unit = prediction.value.clone();
+        self.eliminate(&brdf, &weights, &mut measured);
+        self.eliminate(&brdf, &weights, &mut unit);
+        let [with, of] = [&measured, &unit].map(|other| products(&weights, &unit, other));
+        let scale = ratios(brdf.model, with, of);
+        let times = |values: &mut [[f32; 3]]| {
+            for value in values {
+                *value = [0, 1, 2].map(|c| value[c] * scale[c] as f32);
+            }
+        };
+        times(&mut prediction.value);
+        times(&mut prediction.by_sigma);
+        let mut by_sigma = prediction.by_sigma.clone();
+        self.eliminate(&brdf, &weights, &mut by_sigma);
+        let imitated = ratios_of_any_sign(brdf.model, products(&weights, &unit, &by_sigma), of);
+        for (derivative, unit) in by_sigma.iter_mut().zip(&unit) {
+            *derivative = [0, 1, 2].map(|c| derivative[c] - imitated[c] as f32 * unit[c]);
+        }
+        let residuals = residuals(&self.design, &brdf, &weights, &prediction);
+        Lobe {
+            brdf,
+            scale,
+            weights,
+            residuals,
+            by_sigma,
+        }
+    }
+
+    /// Takes the best diffuse colour of each point out of one RGB value per row.
+    fn eliminate(&self, brdf: &Brdf, weights: &[f32], values: &mut [[f32; 3]]) {
+        let observations = self.design.observations;
+        for point in &observations.points {
+            let rows = point.rows.clone();
+            let cosines = observations.rows[rows.clone()].iter().map(|r| r.cos_view);
+            let brdf = brdf.at(observations.glosses[point.gloss]);
+            eliminate(&brdf, cosines, &weights[rows.clone()], &mut values[rows]);
+        }
+    }
+
+    /// The best of some roughnesses.
+    fn searched(&self, model: SpecularModel, sigmas: &[f32]) -> Option<Lobe> {
+        let weights = initial_weights(&self.design);
+        let lobes = sigmas
+            .iter()
+            .map(|&sigma| self.scaled(Brdf::new(model, sigma), weights.clone()));
+        lobes.min_by(|a, b| a.left().total_cmp(&b.left()))
+    }
+
+    /// A lobe after rounds of weights, `K_S` and σ in turn; σ stays where it is `stated`. With the standard error of σ.
+    fn improved(&self, mut lobe: Lobe, stated: bool, rounds: usize) -> (Lobe, f64) {
+        let mut error = f64::INFINITY;
+        for _ in 0..rounds {
+            let mut brdf = lobe.brdf;
+            let step = self.step(&lobe);
+            error = step.error;
+            let sigma = f64::from(brdf.sigma);
+            let change = if stated {
+                0.0
+            } else {
+                step.change.clamp(-LONGEST * sigma, LONGEST * sigma)
+            };
+            brdf.sigma = ((sigma + change) as f32).clamp(LEAST_SIGMA, MOST_SIGMA);
+            brdf.strength = 1.0;
+            brdf.strength = lobe.mean_scale() as f32 / brdf.usual_specular_scale();
+            let weights = robust_weights(&self.design, &lobe.residuals);
+            let settled = change.abs() < SETTLED * sigma && lobe.scale.iter().all(|v| *v > 0.0);
+            let before = lobe.mean_scale();
+            lobe = self.scaled(brdf, weights);
+            let moved = (lobe.mean_scale() - before).abs();
+            if self.design.stop.load(Ordering::Relaxed) || settled && moved < SETTLED * before {
+                break;
+            }
+        }
+        (lobe, error)
+    }
+
+    /// Gauss-Newton's step of σ.
+    fn step(&self, lobe: &Lobe) -> Step {
+        let (mut slope, mut curvature) = (0.0, 0.0);
+        let mut pulls = Vec::with_capacity(self.points().len());
+        for point in self.points() {
+            let mut own = 0.0;
+            for k in point.rows.clone() {
+                let w = f64::from(lobe.weights[k]);
+                for (z, r) in lobe.by_sigma[k].into_iter().zip(lobe.residuals.values[k]) {
+                    own += w * f64::from(z * r);
+                    curvature += w * f64::from(z * z);
+                }
+            }
+            slope += own;
+            pulls.push(own);
+        }
+        if curvature <= 0.0 {
+            return Step {
+                change: 0.0,
+                error: f64::INFINITY,
+            };
+        }
+        Step {
+            change: slope / curvature,
+            error: spread(&pulls, pulls.len().div_ceil(CLUSTERS)) / curvature,
+        }
+    }
+
+    /// What a lobe that was fitted to other points leaves of each of these.
+    fn left_by(&self, lobe: &Lobe) -> Vec<f64> {
+        let residuals = self.state(lobe).residuals.values;
+        let of_point = |point: &Point| {
+            let rows = point.rows.clone();
+            rows.map(|k| f64::from(magnitude(residuals[k]))).sum()
+        };
+        self.points().iter().map(of_point).collect()
+    }
+
+    /// The light times `K_S`, as estimates have it.
+    fn state(&self, lobe: &Lobe) -> State<'s> {
+        let scaled = self
+            .radiance
+            .iter()
+            .map(|l| [0, 1, 2].map(|c| l[c] * lobe.scale[c] as f32));
+        let state = State::new(self.design.clone(), self.cells.clone(), lobe.brdf);
+        state.lit_by(scaled.collect())
+    }
+}
+
+/// Σ w a b in each channel.
+fn products(weights: &[f32], one: &[[f32; 3]], other: &[[f32; 3]]) -> [f64; 3] {
+    let mut sums = [0.0; 3];
+    for ((&w, a), b) in weights.iter().zip(one).zip(other) {
+        for (c, sum) in sums.iter_mut().enumerate() {
+            *sum += f64::from(w * a[c] * b[c]);
+        }
+    }
+    sums
+}
+
+/// One over the other: in each channel for a metal, whose reflection has a colour; else of all together.
+fn ratios_of_any_sign(model: SpecularModel, above: [f64; 3], below: [f64; 3]) -> [f64; 3] {
+    let ratio = |above: f64, below: f64| if below > 0.0 { above / below } else { 0.0 };
+    if model == SpecularModel::Metal {
+        [0, 1, 2].map(|c| ratio(above[c], below[c]))
+    } else {
+        [ratio(above.iter().sum(), below.iter().sum()); 3]
+    }
+}
+
+/// The same where nothing is negative.
+fn ratios(model: SpecularModel, above: [f64; 3], below: [f64; 3]) -> [f64; 3] {
+    ratios_of_any_sign(model, above, below).map(|ratio| ratio.max(0.0))
+}
+
+/// The lobe of the form asked for, or of the one that leaves least, with the reason in words; none where it explains no more of the
+/// points than diffuse colours alone do, beyond chance.
+fn choose(
+    solver: &Solver<'_>,
+    lit: &Lit<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<(Lobe, String)>, Stopped> {
+    let models: &[SpecularModel] = match &choice {
+        SpecularChoice::Model(model) => std::slice::from_ref(model),
+        SpecularChoice::Auto => &SpecularModel::ALL,
+    };
+    let sigmas: &[f32] = solver.sigma.as_ref().map_or(&SIGMAS, std::slice::from_ref);
+    let mut fits = Vec::with_capacity(models.len());
+    for &model in models {
+        watch.observer.interim(Interim::Lobe(model));
+        go_on(watch.observer.progress("comparing lobes", 0.6))?;
+        fits.extend(lit.searched(model, sigmas));
+    }
+    let least = fits.iter().map(Lobe::left).fold(f64::INFINITY, f64::min);
+    fits.retain(|lobe| lobe.left() <= CLEARLY_MORE * least);
+    let stated = solver.sigma.is_some();
+    for lobe in &mut fits {
+        go_on(watch.observer.progress("comparing lobes", 0.65))?;
+        *lobe = lit.improved(lobe.clone(), stated, ROUNDS).0;
+    }
+    fits.sort_by(|a, b| a.left().total_cmp(&b.left()));
+    let Some(best) = fits.first() else {
+        return Ok(None);
+    };
+    let because = match fits.get(1) {
+        Some(second) => format!(
+            "{} leaves {:.0} % of the residual that {} leaves",
+            best.brdf.model.name(),
+            100.0 * best.left() / second.left().max(f64::MIN_POSITIVE),
+            second.brdf.model.name()
+        ),
+        None if models.len() == 1 => "it was asked for".to_owned(),
+        None => "every other form of the lobe leaves clearly more".to_owned(),
+    };
+    let without = Lobe {
+        scale: [0.0; 3],
+        ..best.clone()
+    };
+    let is_shown = signed_ranks(&lit.left_by(&without), &lit.left_by(best)) > SURE;
+    Ok(is_shown.then(|| (best.clone(), because)))
+}
+
+/// How the light is turned, radians, and what to doubt about it.
+struct Turned {
+    angle: f32,
+    doubt: Option<String>,
+}
+
+/// A turn that was tried, with what it leaves.
+struct Trial {
+    angle: f32,
+    left: f64,
+    lobe: Lobe,
+}
+
+/// The turn under which the highlights are explained best.
+fn align(
+    solver: &Solver<'_>,
+    light: &GivenLight<'_>,
+    watch: &mut Watch<'_>,
+) -> Result<Turned, Stopped> {
+    go_on(watch.observer.progress("turning the light", 0.0))?;
+    let nodes = (light.nodes)(0.0);
+    let halves = [0, 1].map(|half| solver.coarse.every_second(half));
+    let roots = LitCells {
+        cells: solver.pyramid.roots(),
+        radiance: Vec::new(),
+    };
+    let mut lit = Lit::new(solver, &halves[0], &roots);
+    let stated = solver.sigma.as_ref();
+    let sigmas: &[f32] = stated.map_or(&SEARCHED, std::slice::from_ref);
+    let mut tried: Vec<Trial> = Vec::with_capacity(TURNS);
+    for k in 0..TURNS {
+        go_on(
+            watch
+                .observer
+                .progress("turning the light", 0.3 * k as f32 / TURNS as f32),
+        )?;
+        let angle = k as f32 * TAU / TURNS as f32;
+        lit.radiance = turned(solver, &nodes, angle);
+        let best = lit.searched(SpecularModel::Ggx, sigmas);
+        tried.extend(best.map(|lobe| Trial {
+            angle,
+            left: lobe.left(),
+            lobe,
+        }));
+    }
+    tried.sort_by(|a, b| a.left.total_cmp(&b.left));
+    let mut apart: Vec<Trial> = Vec::new();
+    for trial in tried {
+        if apart.len() < REFINED
+            && apart
+                .iter()
+                .all(|other| turn_between(other.angle, trial.angle) > SAME_TURN)
+        {
+            apart.push(trial);
+        }
+    }
+    go_on(watch.observer.progress("turning the light", 0.35))?;
+    let refined = apart
+        .into_par_iter()
+        .map(|trial| refined(solver, light, &halves, trial));
+    let mut refined: Vec<(Trial, Vec<f64>)> = refined.collect();
+    refined.sort_by(|a, b| a.0.left.total_cmp(&b.0.left));
+    let Some((best, others)) = refined.first() else {
+        return Ok(Turned {
+            angle: 0.0,
+            doubt: None,
+        });
+    };
+    let is_sure = best.lobe.mean_scale() > 0.0
+        && refined[1..]
+            .iter()
+            .all(|(_, second)| signed_ranks(second, others) > SURE);
+    Ok(Turned {
+        angle: best.angle,
+        doubt: (!is_sure).then(|| TURN_OPEN.to_owned()),
+    })
+}
+
+/// The smaller angle between two turns, radians.
+fn turn_between(one: f32, other: f32) -> f32 {
+    let apart = (one - other).rem_euclid(TAU);
+    apart.min(TAU - apart)
+}
+
+/// Radiance of the coarsest cells under a turned light, in units of the observations' scale.
+fn turned(solver: &Solver<'_>, nodes: &[[f32; 3]], angle: f32) -> Vec<[f32; 3]> {
+    let turn = Quat::from_axis_angle(solver.grid.up, angle);
+    let roots = solver.pyramid.roots();
+    let geometry = solver.pyramid.geometry(&roots);
+    let mut radiance = vec![Vec3::ZERO; roots.len()];
+    let lit = nodes
+        .iter()
+        .zip(&solver.grid.directions)
+        .filter(|(r, _)| **r != [0.0; 3]);
+    for (value, &direction) in lit {
+        let root = solver.pyramid.root_at(turn * direction).node as usize;
+        let share = solver.grid.solid_angle / (geometry.solid_angles[root] * solver.coarse.scale);
+        radiance[root] += Vec3::from(*value) * share;
+    }
+    radiance.into_iter().map(|r| gray(r.into())).collect()
+}
+
+/// The mean of the channels in each of them.
+fn gray(radiance: [f32; 3]) -> [f32; 3] {
+    [radiance.iter().sum::<f32>() / 3.0; 3]
+}
+
+/// A turn brought to where it leaves least of the first half of the points, and what it then leaves of each of the others.
+fn refined(
+    solver: &Solver<'_>,
+    light: &GivenLight<'_>,
+    halves: &[Observations; 2],
+    mut trial: Trial,
+) -> (Trial, Vec<f64>) {
+    let nodes = (light.nodes)(trial.angle);
+    let cells = LitCells::of(solver, &nodes, FEW_CELLS);
+    let [mut own, mut others] = halves.each_ref().map(|half| Lit::new(solver, half, &cells));
+    let directions = own.design.geometry.directions.clone();
+    let start = trial.angle;
+    // Turned cells are taken to be hidden where they were before.
+    let turn_to = |lit: &mut Lit<'_>, angle: f32| {
+        let turn = Quat::from_axis_angle(solver.grid.up, angle - start);
+        for (to, from) in lit.design.geometry.directions.iter_mut().zip(&directions) {
+            *to = turn * *from;
+        }
+    };
+    let stated = solver.sigma.is_some();
+    let model = trial.lobe.brdf.model;
+    let sigmas = [trial.lobe.brdf.sigma];
+    let mut tried = |angle: f32| {
+        turn_to(&mut own, angle);
+        let (lobe, _) = own
+            .searched(model, &sigmas)
+            .map(|lobe| own.improved(lobe, stated, TURNING_ROUNDS))?;
+        Some(Trial {
+            angle,
+            left: lobe.left(),
+            lobe,
+        })
+    };
+    if let Some(here) = tried(start) {
+        trial = here;
+    }
+    let mut step = 0.5 * TAU / TURNS as f32;
+    while step > LEAST_TURN && !solver.stop.load(Ordering::Relaxed) {
+        let beside = [-step, step]
+            .into_iter()
+            .filter_map(|by| tried(trial.angle + by));
+        match beside.min_by(|a, b| a.left.total_cmp(&b.left)) {
+            Some(better) if better.left < trial.left => trial = better,
+            _ => step *= 0.5,
+        }
+    }
+    turn_to(&mut others, trial.angle);
+    let left = others.left_by(&Lobe {
+        weights: initial_weights(&others.design),
+        ..trial.lobe.clone()
+    });
+    (trial, left)
+}
+
+/// Roughness and strength in the end.
+struct Found {
+    lobe: Lobe,
+    /// Standard error of σ, radians.
+    error: f64,
+    misfit: Misfit,
+    parts: Option<GlossParts>,
+}
+
+/// A lobe's end, after `rounds` in which the surface's parts and the lobe take turns where some parts are glossier than others.
+fn with_parts(
+    solver: &Solver<'_>,
+    lit: &Lit<'_>,
+    lobe: Lobe,
+    rounds: usize,
+    watch: &mut Watch<'_>,
+) -> Result<Found, Stopped> {
+    go_on(
+        watch
+            .observer
+            .progress("looking for parts of other gloss", 0.8),
+    )?;
+    let stated = solver.sigma.is_some();
+    let (lobe, error) = lit.improved(lobe, stated, ROUNDS);
+    let state = lit.state(&lobe);
+    solver.report(&state, watch)?;
+    let parts = if rounds > 0 && !stated {
+        solver.gloss_parts(&state)
+    } else {
+        None
+    };
+    let Some((parts, main)) = parts else {
+        return Ok(Found {
+            misfit: Misfit::of(&state),
+            parts: solver.seen.parts.cloned(),
+            lobe,
+            error,
+        });
+    };
+    let parted = solver.parted(&parts);
+    let observations = lit.design.observations.of_parts(&parts);
+    let cells = LitCells {
+        cells: lit.cells.clone(),
+        radiance: lit.radiance.clone(),
+    };
+    let on_parts = Lit::new(&parted, &observations, &cells);
+    let mut brdf = lobe.brdf;
+    brdf.sigma *= main.roughness;
+    let start = on_parts.scaled(brdf, lobe.weights);
+    with_parts(&parted, &on_parts, start, rounds - 1, watch)
+}
+
+/// The result without a specular part, with what is to be said.
+fn diffuse(
+    mut estimate: Estimate,
+    turn: f32,
+    nodes: Vec<[f32; 3]>,
+    said: Vec<String>,
+) -> UnderGivenLight {
+    estimate.radiance = nodes;
+    estimate.diagnostics.warnings = said;
+    UnderGivenLight {
+        estimate,
+        turn,
+        specular_scale: [1.0; 3],
+    }
+}
+
+/// The result, with what is to be said of it.
+fn told(
+    mut estimate: Estimate,
+    found: Found,
+    turned: Turned,
+    because: String,
+    nodes: &[[f32; 3]],
+) -> UnderGivenLight {
+    let Found {
+        lobe,
+        error,
+        misfit,
+        parts,
+    } = found;
+    let brdf = lobe.brdf;
+    let scale = lobe.scale.map(|k| k as f32);
+    let scaled = nodes.iter().map(|l| [0, 1, 2].map(|c| l[c] * scale[c]));
+    estimate.radiance = scaled.collect();
+    estimate.chosen_because = because;
+    if let Some(parts) = &parts {
+        estimate.chosen_because += &diagnose::parts(parts, brdf.sigma);
+    }
+    let half = HALF_INTERVAL * error as f32;
+    let interval = [brdf.sigma - half, brdf.sigma + half].map(|end| end.clamp(0.0, MOST_SIGMA));
+    estimate.sigma_interval95 = (error > 0.0 && error.is_finite()).then_some(interval);
+    let reflectance = lobe.reflectance();
+    let doubts = [
+        turned.doubt,
+        units(brdf.model, reflectance),
+        diagnose::misfit(&misfit),
+    ];
+    estimate.diagnostics.well_posed = doubts.iter().all(Option::is_none);
+    estimate.diagnostics.warnings = doubts.into_iter().flatten().collect();
+    estimate.diagnostics.specular_found = true;
+    estimate.misfit = Some(misfit.share);
+    estimate.brdf = Some(brdf);
+    estimate.parts = parts;
+    UnderGivenLight {
+        estimate,
+        turn: turned.angle,
+        specular_scale: scale,
+    }
+}
+
+/// What to doubt about a reflectance at normal incidence that no such surface has.
+fn units(model: SpecularModel, reflectance: f32) -> Option<String> {
+    let range = match model {
+        SpecularModel::Metal => LEAST_DIELECTRIC..=1.0,
+        _ => LEAST_DIELECTRIC..=MOST_DIELECTRIC,
+    };
+    (!range.contains(&reflectance)).then(|| {
+        format!(
+            "Under the given light the surface reflects {:.1} % at normal incidence, which hardly anything does: the light's picture              and the photographs are probably not in the same units, or the picture's lights are clipped. Albedo and gloss are off              by the same factor. Give both the same exposure scale.",
+            100.0 * reflectance
+        )
+    })
+}
