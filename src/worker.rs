@@ -23,7 +23,7 @@ use rekindle_relight::{
 use rekindle_scene::hemisphere::{FromAbove, HemisphereGrid, Picture};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::surface::{Atlas, Occluder};
-use rekindle_solution::{Solution, SolveOptions, solution_folder, solve};
+use rekindle_solution::{LightProbe, Solution, SolveOptions, solution_folder, solve_under};
 use rekindle_studio::{Document, EXTENSION, Recoverable};
 
 /// Commands that may wait.
@@ -74,6 +74,8 @@ pub enum Command {
         capture: Arc<Capture>,
         /// How.
         options: SolveOptions,
+        /// The light, where it is known.
+        light: Option<LightProbe>,
         /// Seconds that loading it took.
         load_s: f64,
     },
@@ -172,6 +174,8 @@ pub enum Purpose {
     ExportFolder,
     /// Choose a light probe.
     LightProbe,
+    /// Choose the picture of a capture's light.
+    KnownLight,
     /// Choose the folder of a capture, for its photographs.
     Photographs,
     /// Save a mesh that was aligned as.
@@ -589,7 +593,7 @@ fn ask(purpose: Purpose, start: Option<&Path>) -> Option<PathBuf> {
             .add_filter("Numbers or a picture", &["csv", "svg"])
             .set_file_name("curves.csv")
             .save_file(),
-        Purpose::LightProbe => dialog
+        Purpose::LightProbe | Purpose::KnownLight => dialog
             .set_title("Open a light probe")
             .add_filter("Light probes", &["hdr", "exr"])
             .pick_file(),
@@ -662,9 +666,16 @@ impl Bench {
             Command::Solve {
                 capture,
                 options,
+                light,
                 load_s,
             } => Ok(
-                match solve(&capture.reduced(), &options, load_s, &mut shown) {
+                match solve_under(
+                    &capture.reduced(),
+                    &options,
+                    light.as_ref(),
+                    load_s,
+                    &mut shown,
+                ) {
                     Ok(solution) => Event::Solved(Arc::new(solution)),
                     Err(Stopped) => Event::Stopped,
                 },

@@ -1,6 +1,6 @@
 //! The page of a capture before it is solved: what is in it, what is wrong with it, and how to estimate.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eframe::egui::{
@@ -10,6 +10,7 @@ use eframe::egui::{
 
 use super::commands::Action;
 use super::estimation::sentence;
+use super::known_light::KnownLightChoice;
 use super::placing::{Outcome, Placing, State};
 use super::points::ByPoints;
 use super::projects::Then;
@@ -22,6 +23,7 @@ use rekindle_estimate::align::{Alignment, MarkedPoint};
 use rekindle_estimate::estimate::Method;
 use rekindle_estimate::preflight::{Finding, Severity, Thumbnail};
 use rekindle_scene::reflectance::SpecularModel;
+use rekindle_solution::LightProbe;
 
 /// Narrowest thumbnail, points.
 const THUMBNAIL: f32 = 210.0;
@@ -35,6 +37,8 @@ pub struct CapturePage {
     large: Option<usize>,
     /// Points are being set.
     by_points: Option<ByPoints>,
+    /// The light of the place, where it is known.
+    light: KnownLightChoice,
 }
 
 impl CapturePage {
@@ -45,6 +49,7 @@ impl CapturePage {
             placing: Placing::new(opened),
             large: None,
             by_points: None,
+            light: KnownLightChoice::default(),
         }
     }
 
@@ -69,6 +74,21 @@ impl CapturePage {
             Source::Demo => None,
             Source::Path(path) => Some(path.clone()),
         }
+    }
+
+    /// The picture of the light, where it is known.
+    pub fn known_light(&self) -> Option<LightProbe> {
+        self.light.probe()
+    }
+
+    /// Reads the picture of the light.
+    pub fn choose_light(&mut self, worker: &mut Worker, path: &Path) {
+        self.light.read(worker, path);
+    }
+
+    /// What was wrong with the picture of the light, once.
+    pub fn take_light_problem(&mut self) -> Option<String> {
+        self.light.take()
     }
 
     /// Seconds that loading it took.
@@ -219,6 +239,8 @@ impl CapturePage {
                         exposures::show(ui, brackets);
                         ui.add_space(theme::GAP);
                     }
+                    self.light.show(ui, shared);
+                    ui.add_space(theme::GAP);
                     theme::group(ui, "Estimation");
                     estimation_ui(ui, &mut shared.settings.estimation);
                 });

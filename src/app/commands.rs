@@ -109,6 +109,8 @@ pub enum Action {
     ZoomReset,
     /// The whole screen or a window.
     FullScreen,
+    /// How to shoot a capture.
+    Guide,
     /// All commands by name.
     Palette,
     /// All keys.
@@ -591,6 +593,13 @@ pub const ENTRIES: &[Entry] = &[
         Menu::Help,
         Some((CTRL, Key::P)),
         "Find any command by its name; Ctrl+K does the same",
+    ),
+    entry(
+        Action::Guide,
+        "How to shoot a capture",
+        Menu::Help,
+        Some((SHIFT, Key::F1)),
+        "What a capture needs: object, light, views, brackets, masks, mesh",
     ),
     entry(
         Action::Keys,

@@ -12,7 +12,9 @@ mod disc;
 mod estimation;
 mod exports;
 mod exposures;
+mod guide;
 mod history;
+mod known_light;
 mod menus;
 mod navigation;
 mod notices;
@@ -170,6 +172,8 @@ pub struct App {
     palette: Option<CommandPalette>,
     keys: bool,
     about: bool,
+    /// Whether the guide is shown.
+    guide: bool,
     open_path: Option<OpenPath>,
 }
 
@@ -205,6 +209,7 @@ impl App {
             palette: None,
             keys: false,
             about: false,
+            guide: false,
             open_path: None,
         };
         if let Some(source) = start.open {
@@ -284,6 +289,7 @@ impl App {
         let command = Command::Solve {
             capture: Arc::clone(&capture),
             options: self.settings.estimation.options(),
+            light: page.known_light(),
             load_s,
         };
         if self.start(command, Doing::Solving) {
@@ -468,6 +474,11 @@ impl App {
             Purpose::SaveMesh => {
                 if let Some(page) = &mut self.capture {
                     page.save_mesh(&mut self.worker, path);
+                }
+            }
+            Purpose::KnownLight => {
+                if let Some(page) = &mut self.capture {
+                    page.choose_light(&mut self.worker, &path);
                 }
             }
             Purpose::LightProbe => {
@@ -833,6 +844,7 @@ impl App {
                 }
             }
             Action::Palette => self.palette = Some(CommandPalette::new()),
+            Action::Guide => self.guide = !self.guide,
             Action::Keys => self.keys = !self.keys,
             Action::About => self.about = true,
             Action::Dome => self.settings.dome = !self.settings.dome,
@@ -953,6 +965,14 @@ impl App {
             Some(Err(text)) => self.notices.add(Weight::Error, "Saving failed", text),
             None => {}
         }
+        if let Some(problem) = self
+            .capture
+            .as_mut()
+            .and_then(CapturePage::take_light_problem)
+        {
+            let title = "The light's picture can't be used";
+            self.notices.add(Weight::Error, title, problem);
+        }
         if let Some(relighting) = &mut self.relighting {
             relighting.note_view();
             let document = relighting.document();
@@ -1023,7 +1043,10 @@ impl App {
             for (keys, action) in commands::by_keys() {
                 let plain = !keys.modifiers.command && !is_function_key(keys.logical_key);
                 // Without a modifier a key may be meant for a text field, or close a menu.
-                if plain && (typing || any_popup || self.keys) && action != Action::Keys {
+                if plain
+                    && (typing || any_popup || self.keys || self.guide)
+                    && action != Action::Keys
+                {
                     continue;
                 }
                 // Ctrl+A is a key of text fields.
@@ -1119,6 +1142,9 @@ impl App {
         }
         if self.about && about::show(ctx, self.gpu.as_ref()) {
             self.about = false;
+        }
+        if self.guide && guide::show(ctx) {
+            self.guide = false;
         }
         if let Some(mut open_path) = self.open_path.take() {
             match open_path.show(ctx) {

@@ -67,7 +67,9 @@ impl OpenPath {
                     ),
                     Purpose::SaveMesh => ("Save the mesh", "OBJ file to write"),
                     Purpose::SaveCurves => ("Save the curves", "File to write, .csv or .svg"),
-                    Purpose::LightProbe => ("Open a light probe", "A lat-long .hdr or .exr"),
+                    Purpose::LightProbe | Purpose::KnownLight => {
+                        ("Open a light probe", "A lat-long .hdr or .exr")
+                    }
                 };
                 ui.heading(title);
                 ui.label(

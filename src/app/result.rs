@@ -5,7 +5,7 @@ use eframe::egui::{self, RichText, ScrollArea, vec2};
 use super::theme::{self, Mark};
 use super::{Request, Shared};
 use rekindle_estimate::registration::{Correction, describe};
-use rekindle_solution::Solution;
+use rekindle_solution::{KnownLight, Solution};
 
 /// Width of the card, points.
 const WIDE: f32 = 300.0;
@@ -195,6 +195,29 @@ fn surface_ui(ui: &mut egui::Ui, solution: &Solution) {
             tell("Chosen", solution.chosen_because.clone(), tip);
         }
     }
+    if let Some(known) = &solution.known_light {
+        tell(
+            "Light",
+            given(known),
+            "The picture of the place's light, and how it was turned about the capture's up",
+        );
+        if let Some(f0) = solution.known_reflectance() {
+            let value = format!("{:.1} % at normal incidence", 100.0 * f0);
+            tell(
+                "Reflects",
+                value,
+                "Part of the light that the gloss reflects of what falls on it head-on",
+            );
+        }
+        if let Some(white) = solution.known_white() {
+            let value = format!("{white:.2} where it is brightest, absolute");
+            tell(
+                "Albedo",
+                value,
+                "Part of the light that the colours throw back, 0 to 1",
+            );
+        }
+    }
     let tip = "How many lights were found; each can be moved, dimmed and coloured";
     tell("Lights", solution.lamps.len().to_string(), tip);
     if let Some(misfit) = solution.fit.misfit {
@@ -203,6 +226,17 @@ fn surface_ui(ui: &mut egui::Ui, solution: &Solution) {
         tell("Unexplained", value, tip);
     }
     facts(ui, rows);
+}
+
+/// A light that was given, in words.
+fn given(known: &KnownLight) -> String {
+    let (file, turn) = (&known.file, known.rotation_deg);
+    let how = if known.rotation_stated {
+        "as stated"
+    } else {
+        "by the highlights"
+    };
+    format!("Given by {file}, turned by {turn:.1}° {how}; not estimated")
 }
 
 /// A name with its value, and what it means.

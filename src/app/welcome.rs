@@ -160,6 +160,11 @@ fn begin_ui(ui: &mut egui::Ui, shared: &mut Shared<'_>, opening: Option<&Source>
         }
         None => {
             ui.weak("Or drop a folder or a project on the window.");
+            let needs = ui.link("What a capture needs");
+            let tip = "How to shoot one: object, light, views, brackets, masks, mesh (Shift+F1)";
+            if needs.on_hover_text(tip).clicked() {
+                shared.actions.push(Request::Action(Action::Guide));
+            }
         }
     }
     ui.add_space(theme::GAP);

@@ -258,3 +258,56 @@ fn a_mesh_that_lies_elsewhere_is_aligned_by_points_undone_and_saved() {
     let off = off.fold(0.0, f64::max);
     assert!(off < 0.004 * f64::from(aligned.mesh.diagonal()), "{off}");
 }
+
+#[test]
+fn a_known_light_is_chosen_turned_and_said_in_the_result() {
+    let capture = capture("spot_paper");
+    let mut window = window(Some(Source::Path(capture.clone())));
+    wait_for(&mut window, "Findings");
+    coarse(&mut window);
+    let choose = |window: &mut crate::driver::Window, path: &std::path::Path| {
+        click(window, "Known light…");
+        wait_for(window, "Use this path");
+        let path = path.display().to_string();
+        window.get_by_label("Path").type_text(&path);
+        window.run_steps(2);
+        click(window, "Use this path");
+    };
+    // What is no light probe is a message, and the light is still to be estimated.
+    choose(&mut window, &capture.join("images/view_000.exr"));
+    wait_for(&mut window, "The light's picture can't be used");
+    assert!(!has(&window, "Rotation"));
+    choose(&mut window, &capture.join("truth/environment.exr"));
+    wait_for(&mut window, "environment.exr");
+    assert!(has(&window, "by the highlights"));
+    click(&mut window, "Rotation");
+    let rotation =
+        window.get_by_role_and_label(egui::Role::SpinButton, "Rotation of the known light");
+    rotation.set_value_accesskit(270.0);
+    window.run_steps(2);
+    let buttons = window.get_all_by_label("Estimate");
+    buttons.last().expect("the button").click();
+    window.step();
+    wait_for(&mut window, "Viewport");
+    window.get_by_label_contains("Result: ").click();
+    window.run_steps(2);
+    assert!(has_part(
+        &window,
+        "Given by environment.exr, turned by 270.0° as stated"
+    ));
+    // Back to an estimate.
+    click(&mut window, "Capture");
+    click(&mut window, "Estimate it");
+    assert!(!has(&window, "environment.exr"));
+}
+
+#[test]
+fn the_guide_is_opened_from_the_welcome_page_and_closed() {
+    let mut window = window(None);
+    window.step();
+    click(&mut window, "What a capture needs");
+    assert!(has(&window, "How to shoot a capture") && has(&window, "The turntable"));
+    assert!(has(&window, "Where cameras stand"), "a drawing");
+    click(&mut window, "Close");
+    assert!(!has(&window, "The turntable"));
+}

@@ -123,6 +123,7 @@ impl Relighting {
         viewport.allow_comparison();
         viewport.set_white(solution.white());
         viewport.restore(&document.view);
+        let programs = Programs::of(solution.known_reflectance());
         Self {
             document,
             viewport,
@@ -136,7 +137,7 @@ impl Relighting {
             prepared: false,
             question: None,
             answered: Asked::Pictures,
-            programs: Programs::default(),
+            programs,
             history: false,
         }
     }

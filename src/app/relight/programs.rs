@@ -91,6 +91,15 @@ impl Programs {
         self.forms = BTreeSet::from([Form::Web]);
     }
 
+    /// The question about an object that reflects this much at normal incidence, where that is known.
+    pub(super) fn of(known_reflectance: Option<f32>) -> Self {
+        let reflectance = known_reflectance.unwrap_or(USUAL_F0);
+        Self {
+            index: refractive_index(reflectance),
+            ..Self::default()
+        }
+    }
+
     /// Shows the question; `cameras` is how many are known, `folder` where the files go.
     pub(super) fn show(
         &mut self,
@@ -221,7 +230,8 @@ impl Programs {
         )
         .accessible_name("Index of refraction")
         .on_hover_text(
-            "Photographs leave the scale between light and colours open: the brighter the surface reflects, the weaker is the light",
+            "Photographs leave the scale between light and colours open: the brighter the surface reflects, the weaker is the light. \
+             Where the light was given, this follows from it",
         );
         ui.end_row();
     }

@@ -153,10 +153,13 @@ pub fn page(
     Ok(page.html(&solution.name, &scene))
 }
 
-/// The specular model by its number in the shaders, and its roughness.
+/// The specular model by its number in the shaders, its roughness and its strength.
 fn brdf(brdf: Option<Brdf>) -> serde_json::Value {
-    let number = SpecularModel::shader_number(brdf.map(|brdf| brdf.model));
-    json!({ "model": number, "sigma": brdf.map_or(1.0, |brdf| brdf.sigma) })
+    json!({
+        "model": SpecularModel::shader_number(brdf.map(|brdf| brdf.model)),
+        "sigma": brdf.map_or(1.0, |brdf| brdf.sigma),
+        "strength": brdf.map_or(1.0, |brdf| brdf.strength),
+    })
 }
 
 /// A vector as a list of numbers.

@@ -328,6 +328,7 @@ class Renderer {
     gl.uniform3fv(places.ambient, this.ambient);
     gl.uniform1i(places.model, scene.brdf.model);
     gl.uniform1f(places.main_sigma, scene.brdf.sigma);
+    gl.uniform1f(places.main_strength, scene.brdf.strength);
     gl.uniform1i(places.lobe_count, this.shining.length);
     gl.uniform1i(places.has_transfer, scene.transfer ? 1 : 0);
     const scales = scene.transfer?.scales ?? [];

@@ -26,6 +26,8 @@ uniform vec3 eye;
 uniform vec3 ambient;
 uniform int model;
 uniform float main_sigma;
+/// That of the main lobe, as a multiple of what such surfaces usually have.
+uniform float main_strength;
 out vec4 radiance;
 
 const int PAPER = 0;
@@ -222,13 +224,14 @@ void main() {
     // Towards the side that the triangle's corners say, whichever is seen.
     face_normal *= (dot(face_normal, view) < 0.0) == gl_FrontFacing ? -1.0 : 1.0;
     float roughness = 1.0;
-    strength = 1.0;
+    float part = 1.0;
     if (has_gloss) {
         vec2 gloss = texture(gloss_texture, uv).rg * gloss_scale;
-        strength = gloss.y;
+        part = gloss.y;
         roughness = LEAST_GLOSS_ROUGHNESS * exp(gloss.x / max(gloss.y, 1e-6));
     }
     sigma = main_sigma * roughness;
+    strength = main_strength * part;
     float cos_view = max(dot(n, view), MIN_COS_VIEW);
     float scale = (model == PAPER || model == NO_LOBE ? 1.0 : masking(cos_view)) / cos_view;
     vec3 specular = vec3(0.0);
@@ -258,7 +261,7 @@ void main() {
         irradiance += flux.rgb * (arriving * seen);
     }
     // A lobe of the same strength is lower the wider it is.
-    specular *= strength / (roughness * roughness);
+    specular *= part / (roughness * roughness);
     vec3 diffuse = texture(diffuse_texture, uv).rgb * texture_scale * diffuse_exit(dot(n, view));
     if (!stored) {
         diffuse *= irradiance;
