@@ -603,10 +603,12 @@ fn align(
             doubt: None,
         });
     };
-    let is_sure = best.lobe.mean_scale() > 0.0
-        && refined[1..]
-            .iter()
-            .all(|(_, second)| signed_ranks(second, others) > SURE);
+    // Those that came to the same turn are no other.
+    let mut other = refined[1..]
+        .iter()
+        .filter(|(trial, _)| turn_between(best.angle, trial.angle) > SAME_TURN);
+    let is_sure =
+        best.lobe.mean_scale() > 0.0 && other.all(|(_, left)| signed_ranks(left, others) > SURE);
     Ok(Turned {
         angle: best.angle,
         doubt: (!is_sure).then(|| TURN_OPEN.to_owned()),
