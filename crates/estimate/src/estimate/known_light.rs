@@ -47,6 +47,8 @@ const SAME_TURN: f32 = 0.35;
 /// Turns that are refined, and the step at which refining ends, radians.
 const REFINED: usize = 3;
 const LEAST_TURN: f32 = 2e-3;
+/// Part of what two turns say differently that the points have which are asked for the better one.
+const ASKED: f64 = 0.9;
 /// Cells into which the light is divided, fewer while it is turned and forms of the lobe are compared.
 const CELLS: usize = 1600;
 const FEW_CELLS: usize = 800;
@@ -440,14 +442,9 @@ impl<'s> Lit<'s> {
         }
     }
 
-    /// What a lobe that was fitted to other points leaves of each of these.
+    /// What a lobe leaves of each point.
     fn left_by(&self, lobe: &Lobe) -> Vec<f64> {
-        let residuals = self.state(lobe).residuals.values;
-        let of_point = |point: &Point| {
-            let rows = point.rows.clone();
-            rows.map(|k| f64::from(magnitude(residuals[k]))).sum()
-        };
-        self.points().iter().map(of_point).collect()
+        lengths(self.points(), &self.state(lobe).residuals.values)
     }
 
     /// The light times `K_S`, as estimates have it.
@@ -459,6 +456,15 @@ impl<'s> Lit<'s> {
         let state = State::new(self.design.clone(), self.cells.clone(), lobe.brdf);
         state.lit_by(scaled.collect())
     }
+}
+
+/// The lengths of the rows of each point together.
+fn lengths(points: &[Point], values: &[[f32; 3]]) -> Vec<f64> {
+    let of_point = |point: &Point| {
+        let rows = values[point.rows.clone()].iter();
+        rows.map(|&value| f64::from(magnitude(value))).sum()
+    };
+    points.iter().map(of_point).collect()
 }
 
 /// Σ w a b in each channel.
@@ -595,9 +601,9 @@ fn align(
     let refined = apart
         .into_par_iter()
         .map(|trial| refined(solver, light, &halves, trial));
-    let mut refined: Vec<(Trial, Vec<f64>)> = refined.collect();
+    let mut refined: Vec<(Trial, Vec<[f32; 3]>)> = refined.collect();
     refined.sort_by(|a, b| a.0.left.total_cmp(&b.0.left));
-    let Some((best, others)) = refined.first() else {
+    let Some((best, left)) = refined.first() else {
         return Ok(Turned {
             angle: 0.0,
             doubt: None,
@@ -607,12 +613,42 @@ fn align(
     let mut other = refined[1..]
         .iter()
         .filter(|(trial, _)| turn_between(best.angle, trial.angle) > SAME_TURN);
-    let is_sure =
-        best.lobe.mean_scale() > 0.0 && other.all(|(_, left)| signed_ranks(left, others) > SURE);
+    let judges = &halves[1].points;
+    let is_sure = best.lobe.mean_scale() > 0.0
+        && other.all(|(_, by_other)| is_better(judges, left, by_other));
     Ok(Turned {
         angle: best.angle,
         doubt: (!is_sure).then(|| TURN_OPEN.to_owned()),
     })
+}
+
+/// Whether points are better explained by what leaves `left` of their rows than by what leaves `by_other`, beyond chance. Only those
+/// are asked on which the two differ: most points show no highlight under either.
+fn is_better(points: &[Point], left: &[[f32; 3]], by_other: &[[f32; 3]]) -> bool {
+    let apart = left.iter().zip(by_other);
+    let apart: Vec<[f32; 3]> = apart
+        .map(|(a, b)| (Vec3::from(*a) - Vec3::from(*b)).to_array())
+        .collect();
+    // What they say differently is the difference of what they leave, whatever was measured.
+    let apart = lengths(points, &apart);
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    order.sort_by(|&a, &b| apart[b].total_cmp(&apart[a]));
+    let mut unasked = ASKED * apart.iter().sum::<f64>();
+    order.retain(|&point| {
+        let is_asked = unasked > 0.0;
+        unasked -= apart[point];
+        is_asked
+    });
+    // Neighbours stay together.
+    order.sort_unstable();
+    let [left, by_other] = [left, by_other].map(|values| {
+        let of_point = lengths(points, values);
+        order
+            .iter()
+            .map(|&point| of_point[point])
+            .collect::<Vec<f64>>()
+    });
+    signed_ranks(&by_other, &left) > SURE
 }
 
 /// The smaller angle between two turns, radians.
@@ -644,13 +680,13 @@ fn gray(radiance: [f32; 3]) -> [f32; 3] {
     [radiance.iter().sum::<f32>() / 3.0; 3]
 }
 
-/// A turn brought to where it leaves least of the first half of the points, and what it then leaves of each of the others.
+/// A turn brought to where it leaves least of the first half of the points, and what it then leaves of the rows of the others.
 fn refined(
     solver: &Solver<'_>,
     light: &GivenLight<'_>,
     halves: &[Observations; 2],
     mut trial: Trial,
-) -> (Trial, Vec<f64>) {
+) -> (Trial, Vec<[f32; 3]>) {
     let nodes = (light.nodes)(trial.angle);
     let cells = LitCells::of(solver, &nodes, FEW_CELLS);
     let [mut own, mut others] = halves.each_ref().map(|half| Lit::new(solver, half, &cells));
@@ -691,10 +727,7 @@ fn refined(
         }
     }
     turn_to(&mut others, trial.angle);
-    let left = others.left_by(&Lobe {
-        weights: initial_weights(&others.design),
-        ..trial.lobe.clone()
-    });
+    let left = others.state(&trial.lobe).residuals.values;
     (trial, left)
 }
 
@@ -818,7 +851,9 @@ fn units(model: SpecularModel, reflectance: f32) -> Option<String> {
     };
     (!range.contains(&reflectance)).then(|| {
         format!(
-            "Under the given light the surface reflects {:.1} % at normal incidence, which hardly anything does: the light's picture              and the photographs are probably not in the same units, or the picture's lights are clipped. Albedo and gloss are off              by the same factor. Give both the same exposure scale.",
+            "Under the given light the surface reflects {:.1} % at normal incidence, which hardly anything does: the light's picture and \
+             the photographs are probably not in the same units, or the picture's lights are clipped. Albedo and gloss are off by the \
+             same factor. Give both the same exposure scale.",
             100.0 * reflectance
         )
     })
