@@ -813,7 +813,8 @@ fn told(
         misfit,
         parts,
     } = found;
-    let brdf = lobe.brdf;
+    let reflectance = lobe.reflectance();
+    let brdf = lobe.brdf.with_reflectance(reflectance);
     let scale = lobe.scale.map(|k| k as f32);
     let scaled = nodes.iter().map(|l| [0, 1, 2].map(|c| l[c] * scale[c]));
     estimate.radiance = scaled.collect();
@@ -824,7 +825,6 @@ fn told(
     let half = HALF_INTERVAL * error as f32;
     let interval = [brdf.sigma - half, brdf.sigma + half].map(|end| end.clamp(0.0, MOST_SIGMA));
     estimate.sigma_interval95 = (error > 0.0 && error.is_finite()).then_some(interval);
-    let reflectance = lobe.reflectance();
     let doubts = [
         turned.doubt,
         units(brdf.model, reflectance),
