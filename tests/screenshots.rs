@@ -174,6 +174,37 @@ fn every_page_at_every_size() {
     }
 }
 
+/// A known light as it is chosen and turned, and what came of it: `target/layouts/*.png`.
+#[test]
+#[ignore = "writes pictures"]
+fn a_known_light() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/layouts");
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let capture = driver::capture("spot_paper");
+    for [width, height] in [[1024.0, 640.0], [1280.0, 800.0]] {
+        let mut window = drawn([width, height], Some(Source::Path(capture.clone())));
+        let page = |window: &mut Window, name: &str| {
+            let file = format!("{width}x{height}@1_known_light_{name}.png");
+            finished(window).save(folder.join(file)).expect("written");
+        };
+        wait_for(&mut window, "Findings");
+        driver::drop_on(&mut window, &capture.join("truth/environment.exr"));
+        wait_for(&mut window, "environment.exr");
+        page(&mut window, "chosen");
+        window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Enter);
+        window.step();
+        wait_for(&mut window, "Close message Estimated");
+        click(&mut window, "Close message Estimated");
+        click(&mut window, "Result: Good");
+        page(&mut window, "result");
+        click(&mut window, "Capture");
+        click(&mut window, "By hand");
+        page(&mut window, "turned");
+        window.key_press_modifiers(egui::Modifiers::SHIFT, egui::Key::F1);
+        page(&mut window, "guide");
+    }
+}
+
 #[test]
 #[ignore = "writes pictures"]
 fn a_mesh_that_lies_elsewhere() {

@@ -23,7 +23,7 @@ use rekindle_estimate::align::{Alignment, MarkedPoint};
 use rekindle_estimate::estimate::Method;
 use rekindle_estimate::preflight::{Finding, Severity, Thumbnail};
 use rekindle_scene::reflectance::SpecularModel;
-use rekindle_solution::LightProbe;
+use rekindle_solution::{LightProbe, Solution};
 
 /// Narrowest thumbnail, points.
 const THUMBNAIL: f32 = 210.0;
@@ -37,7 +37,7 @@ pub struct CapturePage {
     large: Option<usize>,
     /// Points are being set.
     by_points: Option<ByPoints>,
-    /// The light of the place, where it is known.
+    /// Where the light of the place is chosen.
     light: KnownLightChoice,
 }
 
@@ -78,7 +78,8 @@ impl CapturePage {
 
     /// The picture of the light, where it is known.
     pub fn known_light(&self) -> Option<LightProbe> {
-        self.light.probe()
+        let light = self.placing.now.light.as_ref();
+        light.map(|light| light.probe().clone())
     }
 
     /// Reads the picture of the light.
@@ -86,9 +87,16 @@ impl CapturePage {
         self.light.read(worker, path);
     }
 
-    /// What was wrong with the picture of the light, once.
-    pub fn take_light_problem(&mut self) -> Option<String> {
-        self.light.take()
+    /// Takes the picture of the light once it is read. Says what was wrong with it, once.
+    pub fn take_light(&mut self, ctx: &egui::Context) -> Option<String> {
+        self.light.take(ctx, &mut self.placing.now.light)
+    }
+
+    /// Takes the turn of the known light that a solve found.
+    pub fn solved(&mut self, solution: &Solution) {
+        if let (Some(light), Some(known)) = (&mut self.placing.now.light, &solution.known_light) {
+            light.solved(known);
+        }
     }
 
     /// Seconds that loading it took.
@@ -132,6 +140,7 @@ impl CapturePage {
                 overlap,
                 ambiguous: alignment.ambiguous,
             }),
+            light: now.light.clone(),
         };
         self.leave_points();
         self.placing.change(next);
@@ -177,15 +186,17 @@ impl CapturePage {
         }
     }
 
-    /// Undoes the last change of the points, or of the mesh's place; or does it again.
+    /// Undoes the last change of the points, of the mesh's place or of the known light; or does it again.
     pub fn undo(&mut self, ctx: &egui::Context, action: Action) {
+        let before = Arc::clone(self.opened());
         match (action, &mut self.by_points) {
             (Action::Undo, Some(points)) => points.undo(),
             (_, Some(points)) => points.redo(),
             (Action::Undo, None) => self.placing.undo(),
             (_, None) => self.placing.redo(),
         }
-        if self.by_points.is_none() {
+        self.light.settle(self.placing.now.light.as_ref());
+        if !Arc::ptr_eq(&before, self.opened()) {
             self.textures = upload_all(ctx, self.opened());
         }
     }
@@ -239,12 +250,20 @@ impl CapturePage {
                         exposures::show(ui, brackets);
                         ui.add_space(theme::GAP);
                     }
-                    self.light.show(ui, shared);
+                    let now = &mut self.placing.now;
+                    self.light
+                        .show(ui, shared, &now.opened.capture, &mut now.light);
                     ui.add_space(theme::GAP);
                     theme::group(ui, "Estimation");
                     estimation_ui(ui, &mut shared.settings.estimation);
                 });
             });
+        let changed = self
+            .light
+            .changed(ui.ctx(), self.placing.now.light.as_ref());
+        if let Some(before) = changed {
+            self.placing.keep_light(before);
+        }
         let frame = theme::side(ui);
         egui::CentralPanel::default().frame(frame).show(ui, |ui| {
             ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {

@@ -69,6 +69,8 @@ pub enum Action {
     Align,
     /// Set points on the mesh and mark them in photographs.
     AlignByPoints,
+    /// Choose a picture of the light of the place.
+    KnownLight,
     /// Start the estimation, or start it again.
     Solve,
     /// Pause the estimation or let it go on.
@@ -473,6 +475,13 @@ pub const ENTRIES: &[Entry] = &[
         None,
         "Set points on the mesh and mark them in photographs, to begin with",
     ),
+    apart(entry(
+        Action::KnownLight,
+        "Known light…",
+        Menu::Estimate,
+        Some((CTRL, Key::L)),
+        "Choose a picture of all the light of the place: nothing about the light is estimated then",
+    )),
     entry(
         Action::ShowCapture,
         "Show the capture",

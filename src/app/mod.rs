@@ -405,6 +405,9 @@ impl App {
                 if let Some(estimation) = &mut self.estimation {
                     estimation.finish(Arc::clone(&solution));
                 }
+                if let Some(page) = &mut self.capture {
+                    page.solved(&solution);
+                }
                 self.say_what_was_found(&solution);
                 self.show_estimated(solution);
             }
@@ -556,10 +559,11 @@ impl App {
     }
 
     fn say_what_was_found(&mut self, solution: &Solution) {
-        let lights = match solution.lamps.len() {
-            0 => "No lights were found.".to_owned(),
-            1 => "One light was found.".to_owned(),
-            n => format!("{n} lights were found."),
+        let lights = match (&solution.known_light, solution.lamps.len()) {
+            (Some(known), _) => format!("The light is that of {}.", known.file),
+            (None, 0) => "No lights were found.".to_owned(),
+            (None, 1) => "One light was found.".to_owned(),
+            (None, n) => format!("{n} lights were found."),
         };
         let (weight, title, more) = match Verdict::of(solution) {
             Verdict::Good | Verdict::Noted => (Weight::Done, "Estimated", ""),
@@ -635,6 +639,7 @@ impl App {
         match action {
             Action::OpenFolder | Action::OpenFile | Action::Demo => self.running(),
             Action::Solve | Action::Align | Action::AlignByPoints => self.obstacle_of_work(action),
+            Action::KnownLight => unless(self.capture.is_some(), NO_CAPTURE).or(self.running()),
             Action::Save | Action::SaveAs => unless(self.relighting.is_some(), NO_LIGHT).or(
                 unless(!self.projects.is_saving(), "The project is being saved."),
             ),
@@ -790,6 +795,10 @@ impl App {
                     page.set_points();
                     self.page = Page::Capture;
                 }
+            }
+            Action::KnownLight => {
+                self.pick(Purpose::KnownLight);
+                self.page = Page::Capture;
             }
             Action::Solve if self.has_edits() => self.projects.ask(Then::Solve),
             Action::Solve => self.solve(),
@@ -965,11 +974,8 @@ impl App {
             Some(Err(text)) => self.notices.add(Weight::Error, "Saving failed", text),
             None => {}
         }
-        if let Some(problem) = self
-            .capture
-            .as_mut()
-            .and_then(CapturePage::take_light_problem)
-        {
+        let page = self.capture.as_mut();
+        if let Some(problem) = page.and_then(|page| page.take_light(ctx)) {
             let title = "The light's picture can't be used";
             self.notices.add(Weight::Error, title, problem);
         }
@@ -1065,14 +1071,20 @@ impl App {
         }
     }
 
-    /// Folders and files dropped on the window.
+    /// Folders and files dropped on the window: a picture on the page of a capture is its light.
     fn read_drops(&mut self, ctx: &egui::Context) {
         let dropped = ctx.input(|i| {
             let file = i.raw.dropped_files.first();
             file.map(|file| file.path().to_owned())
         });
-        if let Some(path) = dropped {
-            self.ask_to_open(Source::Path(path));
+        let Some(path) = dropped else { return };
+        let extension = path.extension().map(std::ffi::OsStr::to_ascii_lowercase);
+        let is_picture = extension.is_some_and(|e| e == "exr" || e == "hdr");
+        match &mut self.capture {
+            Some(page) if is_picture && self.page == Page::Capture => {
+                page.choose_light(&mut self.worker, &path);
+            }
+            _ => self.ask_to_open(Source::Path(path)),
         }
     }
 

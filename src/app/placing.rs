@@ -1,4 +1,5 @@
-//! Where the mesh of a capture lies: offered to be aligned where it does not fit, then to be saved or undone.
+//! Where the mesh of a capture lies: offered to be aligned where it does not fit, then to be saved or undone. The history of the
+//! capture's page is here, too.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -8,6 +9,7 @@ use glam::DMat4;
 
 use super::commands::Action;
 use super::history::History;
+use super::known_light::GivenLight;
 use super::points::progress_ui;
 use super::projects::Then;
 use super::theme::{self, Mark};
@@ -29,7 +31,8 @@ pub(super) struct Outcome {
     pub(super) ambiguous: bool,
 }
 
-/// A capture with its mesh in one place.
+/// A capture with its mesh in one place, and the light that is given with it.
+#[derive(Clone)]
 pub(super) struct State {
     pub(super) opened: Arc<OpenedCapture>,
     /// Points that were marked by then.
@@ -37,6 +40,8 @@ pub(super) struct State {
     /// From where the mesh lay when it was read.
     pub(super) moved: DMat4,
     pub(super) outcome: Option<Outcome>,
+    /// The picture of the light, where it is known.
+    pub(super) light: Option<GivenLight>,
 }
 
 /// What came of writing a file: the file, the place that the capture's file has now, and the one that this file holds.
@@ -63,6 +68,7 @@ impl Placing {
                 points: Vec::new(),
                 moved: DMat4::IDENTITY,
                 outcome: None,
+                light: None,
             },
             history: History::new(),
             written: DMat4::IDENTITY,
@@ -76,6 +82,14 @@ impl Placing {
     /// Takes another place of the mesh, which can be undone.
     pub(super) fn change(&mut self, next: State) {
         self.history.keep(std::mem::replace(&mut self.now, next));
+    }
+
+    /// Keeps the light before a change, which can be undone.
+    pub(super) fn keep_light(&mut self, before: Option<GivenLight>) {
+        self.history.keep(State {
+            light: before,
+            ..self.now.clone()
+        });
     }
 
     pub(super) fn can_undo(&self) -> bool {
@@ -204,7 +218,7 @@ impl Placing {
                 let undo = egui::Button::new("Undo").min_size(egui::vec2(0.0, theme::TALL));
                 let undo = ui.add_enabled(!shared.busy, undo);
                 if undo
-                    .on_hover_text("The mesh where it was (Ctrl+Z)")
+                    .on_hover_text("Undo the last change, of the mesh's place or of the light (Ctrl+Z)")
                     .clicked()
                 {
                     shared.actions.push(Request::Action(Action::Undo));

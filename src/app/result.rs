@@ -31,8 +31,13 @@ impl Verdict {
     /// The verdict that a solution comes to.
     pub fn of(solution: &Solution) -> Self {
         match &solution.diagnostics {
-            d if !d.specular_found && solution.lamps.is_empty() => Self::Failed,
-            d if !d.specular_found => Self::Approximate,
+            d if !d.specular_found => match &solution.known_light {
+                // Of a matt surface under a given light nothing is open but how that is turned.
+                Some(known) if known.rotation_stated => Self::Noted,
+                Some(_) => Self::Doubtful,
+                None if solution.lamps.is_empty() => Self::Failed,
+                None => Self::Approximate,
+            },
             d if !d.well_posed => Self::Doubtful,
             d if !d.warnings.is_empty() => Self::Noted,
             _ => Self::Good,
@@ -44,18 +49,20 @@ impl Verdict {
         matches!(self, Self::Doubtful | Self::Approximate | Self::Failed)
     }
 
-    /// Its name, its mark and what it means.
-    pub fn words(self) -> (&'static str, Mark, &'static str) {
+    /// Its name, its mark and what it means, where the light was given or where it was sought.
+    fn words(self, given: bool) -> (&'static str, Mark, &'static str) {
+        let determined = if given {
+            "The photographs determine the surface under the given light."
+        } else {
+            "The photographs determine roughness and lights."
+        };
         match self {
-            Self::Good => (
-                "Good",
-                Mark::Good,
-                "The photographs determine roughness and lights.",
-            ),
-            Self::Noted => (
-                "Good, with notes",
-                Mark::Good,
-                "The photographs determine roughness and lights.",
+            Self::Good => ("Good", Mark::Good, determined),
+            Self::Noted => ("Good, with notes", Mark::Good, determined),
+            Self::Doubtful if given => (
+                "Doubtful",
+                Mark::Warning,
+                "Something contradicts the given light; see below what, and what to do.",
             ),
             Self::Doubtful => (
                 "Doubtful",
@@ -79,12 +86,17 @@ impl Verdict {
     }
 }
 
+/// The verdict on a solution by its name, its mark and what it means.
+fn told(solution: &Solution) -> (&'static str, Mark, &'static str) {
+    Verdict::of(solution).words(solution.known_light.is_some())
+}
+
 /// The button that opens the card, while it is closed.
 pub(super) fn button(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<'_>) {
     if shared.settings.result {
         return;
     }
-    let (name, mark, meaning) = Verdict::of(solution).words();
+    let (name, mark, meaning) = told(solution);
     let text = RichText::new(format!("Result: {name}")).color(mark.colour(ui));
     let tip = format!("{meaning} Shows the result card");
     if ui.button(text).on_hover_text(tip).clicked() {
@@ -115,7 +127,7 @@ pub(super) fn panel(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<
 }
 
 fn head_ui(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<'_>) {
-    let (name, mark, meaning) = Verdict::of(solution).words();
+    let (name, mark, meaning) = told(solution);
     ui.horizontal(|ui| {
         mark.show(ui);
         ui.label(RichText::new(name).strong().color(mark.colour(ui)));
@@ -218,7 +230,11 @@ fn surface_ui(ui: &mut egui::Ui, solution: &Solution) {
             );
         }
     }
-    let tip = "How many lights were found; each can be moved, dimmed and coloured";
+    let tip = if solution.known_light.is_some() {
+        "How many lights the picture has; each can be moved, dimmed and coloured"
+    } else {
+        "How many lights were found; each can be moved, dimmed and coloured"
+    };
     tell("Lights", solution.lamps.len().to_string(), tip);
     if let Some(misfit) = solution.fit.misfit {
         let value = format!("{:.1} % beyond noise", 100.0 * misfit);

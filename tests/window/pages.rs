@@ -276,15 +276,32 @@ fn a_known_light_is_chosen_turned_and_said_in_the_result() {
     // What is no light probe is a message, and the light is still to be estimated.
     choose(&mut window, &capture.join("images/view_000.exr"));
     wait_for(&mut window, "The light's picture can't be used");
-    assert!(!has(&window, "Rotation"));
+    assert!(!has(&window, "By hand"));
     choose(&mut window, &capture.join("truth/environment.exr"));
     wait_for(&mut window, "environment.exr");
-    assert!(has(&window, "by the highlights"));
-    click(&mut window, "Rotation");
-    let rotation =
-        window.get_by_role_and_label(egui::Role::SpinButton, "Rotation of the known light");
-    rotation.set_value_accesskit(270.0);
+    click(&mut window, "By hand");
+    let turn = window.get_by_role_and_label(egui::Role::Slider, "Turn of the known light");
+    turn.set_value_accesskit(270.0);
     window.run_steps(2);
+    // Each choice is a step that can be undone.
+    let turned = |window: &crate::driver::Window| {
+        let turn = window.query_by_role_and_label(egui::Role::Slider, "Turn of the known light");
+        turn.and_then(|turn| turn.value())
+    };
+    let mut seen = vec![turned(&window)];
+    for _ in 0..3 {
+        window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Z);
+        window.run_steps(2);
+        seen.push(turned(&window));
+    }
+    assert!(!has(&window, "environment.exr"), "the picture is undone");
+    assert_ne!(seen[0], seen[1], "the turn is undone");
+    assert!(seen[1].is_some() && seen[2].is_none(), "{seen:?}");
+    for _ in 0..3 {
+        window.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Y);
+        window.run_steps(2);
+    }
+    assert_eq!(turned(&window), seen[0]);
     let buttons = window.get_all_by_label("Estimate");
     buttons.last().expect("the button").click();
     window.step();

@@ -237,6 +237,11 @@ impl LatLong {
         })
     }
 
+    /// Its columns and rows.
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
     /// Radiance of each of its pixels, row by row from the top.
     pub fn pixels(&self) -> &[Vec3] {
         &self.radiance

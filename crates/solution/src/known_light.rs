@@ -5,13 +5,13 @@ use std::hash::{Hash, Hasher};
 use std::path::Path;
 use std::sync::Arc;
 
-use glam::{Quat, Vec3};
+use glam::{Quat, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 
 use super::Solution;
 use rekindle_capture::CaptureError;
 use rekindle_relight::LatLong;
-use rekindle_scene::hemisphere::HemisphereGrid;
+use rekindle_scene::hemisphere::{HemisphereGrid, Picture, lat_long_from_direction};
 use rekindle_scene::reflectance::Brdf;
 
 /// Part of the light below the horizon from which on it is taken in.
@@ -19,7 +19,7 @@ const LEAST_BELOW: f32 = 1e-3;
 
 /// A picture of all the light that shone on the object, and how it is turned.
 ///
-/// The picture is a lat-long map as [`lat_long_from_direction`](rekindle_scene::hemisphere::lat_long_from_direction) says, its top
+/// The picture is a lat-long map as [`lat_long_from_direction`] says, its top
 /// towards the capture's up, and its radiance in the photographs' units.
 #[derive(Clone, Debug)]
 pub struct LightProbe {
@@ -43,6 +43,22 @@ impl LightProbe {
     /// The name of its file.
     pub fn file(&self) -> &str {
         &self.file
+    }
+
+    /// The picture: linear radiance, row by row from the top, at most as fine as any lobe needs.
+    pub fn picture(&self) -> Picture {
+        let (width, height) = self.picture.size();
+        Picture {
+            width: width as u32,
+            height: height as u32,
+            radiance: self.picture.pixels().iter().map(Vec3::to_array).collect(),
+        }
+    }
+
+    /// Where the unturned picture has a direction of a world with this `up`, as parts of its width and height from its top left
+    /// corner.
+    pub fn place_of(up: Vec3, direction: Vec3) -> Vec2 {
+        lat_long_from_direction(Self::world_from_picture(up, 0.0).inverse() * direction)
     }
 
     /// The rotation from the picture's directions to the world's when it is turned about `up` by an angle, radians.

@@ -77,7 +77,7 @@ const NO_SPECULAR: &str = "No specular part was found: the given light, reflecte
     is taken as diffuse; the albedo is in absolute units all the same.";
 /// What is said where the turn is open.
 const TURN_OPEN: &str = "The highlights don't tell how the given light is turned: another turn explains them about as well. State the turn \
-    in degrees (--light-rotation, or in the settings).";
+    in degrees (--light-rotation), or turn it by hand on the capture's page.";
 
 /// Light that is known.
 pub struct GivenLight<'a> {
