@@ -174,9 +174,9 @@ impl GivenLight {
         ui.horizontal_wrapped(|ui| {
             ui.label("Turn");
             let stated = self.probe.turn.is_some();
-            let sought = ui
-                .radio(!stated, "By the highlights")
-                .on_hover_text("Turn the picture about the capture's up to where it explains the highlights best");
+            let sought = ui.radio(!stated, "By the highlights").on_hover_text(
+                "Turn the picture about the capture's up to where it explains the highlights best",
+            );
             let by_hand = ui
                 .radio(stated, "By hand")
                 .on_hover_text("State how the picture is turned about the capture's up");

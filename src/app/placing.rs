@@ -218,7 +218,9 @@ impl Placing {
                 let undo = egui::Button::new("Undo").min_size(egui::vec2(0.0, theme::TALL));
                 let undo = ui.add_enabled(!shared.busy, undo);
                 if undo
-                    .on_hover_text("Undo the last change, of the mesh's place or of the light (Ctrl+Z)")
+                    .on_hover_text(
+                        "Undo the last change, of the mesh's place or of the light (Ctrl+Z)",
+                    )
                     .clicked()
                 {
                     shared.actions.push(Request::Action(Action::Undo));

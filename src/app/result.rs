@@ -395,6 +395,19 @@ mod tests {
         assert_eq!(Verdict::of(&found), Verdict::Approximate);
         found.lamps.clear();
         assert_eq!(Verdict::of(&found), Verdict::Failed);
+        // Under a given light a matt surface leaves nothing open, unless its turn was to be sought by highlights.
+        let mut known = KnownLight {
+            file: "probe.exr".to_owned(),
+            rotation_deg: 90.0,
+            rotation_stated: true,
+            specular_reflectance: [0.0; 3],
+            albedo_scale: 3.0,
+        };
+        found.known_light = Some(known.clone());
+        assert_eq!(Verdict::of(&found), Verdict::Noted);
+        known.rotation_stated = false;
+        found.known_light = Some(known);
+        assert_eq!(Verdict::of(&found), Verdict::Doubtful);
     }
 
     #[test]

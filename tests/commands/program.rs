@@ -334,6 +334,44 @@ fn a_stated_roughness_is_taken_and_nonsense_is_refused() {
 }
 
 #[test]
+fn a_given_light_is_taken_as_it_is_turned_and_nonsense_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let solution = folder.path().join("solution");
+    let solution = solution.to_str().unwrap();
+    let source = capture("spot_paper");
+    let light = source.join("truth/environment.exr");
+    let photograph = source.join("images/view_000.exr");
+    let [source, light, photograph] = [&source, &light, &photograph].map(|p| p.to_str().unwrap());
+    let solve = |more: &[&str]| rekindle(&[&["solve", source, "-o", solution][..], more].concat());
+    for (more, said) in [
+        (&["--light-rotation", "90"][..], "--light <PROBE>"),
+        (
+            &["--light", light, "--light-rotation", "east"],
+            "number of degrees",
+        ),
+        (
+            &["--light", light, "--method", "amuh"],
+            "reference methods estimate the light",
+        ),
+        (&["--light", photograph], "twice as wide as high"),
+        (&["--light", "no/such/probe.exr"], "no/such/probe.exr"),
+    ] {
+        let run = solve(more);
+        assert_eq!(run.status.code(), Some(2), "{more:?}");
+        let message = String::from_utf8_lossy(&run.stderr);
+        assert!(message.contains(said), "{message}");
+        assert!(!Path::new(solution).exists(), "nothing is written");
+    }
+    let given = ["--frequency", "20", "--light", light, "--light-rotation"];
+    assert!(solve(&[&given[..], &["-90"]].concat()).status.success());
+    let found = read_json(&Path::new(solution).join("solution.json"));
+    assert_eq!(found["known_light"]["rotation_deg"], 270.0);
+    assert_eq!(found["known_light"]["rotation_stated"], true);
+    // No light beside the given one is made up.
+    assert_eq!(vector(&found["ambient"]), [0.0; 3]);
+}
+
+#[test]
 fn a_missing_capture_is_one_message_and_status_2() {
     let folder = tempfile::tempdir().unwrap();
     let solution = folder.path().join("solution");

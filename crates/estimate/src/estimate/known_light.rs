@@ -20,7 +20,7 @@ use std::time::Instant;
 use glam::{DVec3, Quat, Vec3};
 use rayon::prelude::*;
 
-use super::cells::{Cell, Pyramid};
+use super::cells::{Cell, CellGeometry, Pyramid};
 use super::design::Design;
 use super::fast::{self, SIGMAS, Solver, Watch};
 use super::misfit::Misfit;
@@ -49,9 +49,9 @@ const REFINED: usize = 3;
 const LEAST_TURN: f32 = 2e-3;
 /// Part of what two turns say differently that the points have which are asked for the better one.
 const ASKED: f64 = 0.9;
-/// Cells into which the light is divided, fewer while it is turned and forms of the lobe are compared.
-const CELLS: usize = 1600;
-const FEW_CELLS: usize = 800;
+/// Cells that the light is divided into beyond the coarsest, fewer while it is turned and forms of the lobe are compared.
+const CELLS: usize = 4000;
+const FEW_CELLS: usize = 1000;
 /// Points that roughness and strength are fitted to.
 const POINTS: usize = 4000;
 /// A form of the lobe that leaves so many times as much as another from the start is not improved.
@@ -180,14 +180,40 @@ fn run(
     Ok(told(estimate, found, turned, because, &nodes))
 }
 
-/// The light divided into cells, each of about one radiance.
+/// The light divided into cells.
 struct LitCells {
     cells: Vec<Cell>,
     /// In units of the observations' scale.
     radiance: Vec<[f32; 3]>,
+    /// Where the light of each cell comes from in the mean, and how far it is spread: so lobes have the moments that they have
+    /// under its nodes, up to the second.
+    geometry: CellGeometry,
 }
 
-/// A cell with what is gained where it is split: the flux that lies elsewhere than its mean would have it.
+/// Flux of a cell, and its moments.
+#[derive(Clone, Copy, Default)]
+struct Moments {
+    flux: DVec3,
+    /// Σ of the directions of its nodes, weighted by their flux in all channels.
+    towards: DVec3,
+}
+
+impl Moments {
+    fn add(&mut self, flux: DVec3, direction: Vec3) {
+        self.flux += flux;
+        self.towards += flux.element_sum() * direction.as_dvec3();
+    }
+
+    /// Variance that its extent adds to σ²: a quarter of that of its directions along an axis, the half vector turning by half the
+    /// light's angle.
+    fn spread(&self) -> f64 {
+        let mean = self.towards.length() / self.flux.element_sum().max(f64::MIN_POSITIVE);
+        // The mean of unit vectors at small angles a from their middle is 1 - a²/2 long, and a² has a share on each of two axes.
+        0.25 * (1.0 - mean).max(0.0)
+    }
+}
+
+/// A cell with what is gained where it is split: flux times the variance of where it comes from.
 struct Split {
     gain: f64,
     cell: Cell,
@@ -212,63 +238,81 @@ impl Ord for Split {
 }
 
 impl LitCells {
-    /// About `count` cells for a radiance per node, finest where it varies most.
-    fn of(solver: &Solver<'_>, nodes: &[[f32; 3]], count: usize) -> Self {
+    /// A radiance per node in cells, up to `split` more than the coarsest of them: finest where much light is spread widely.
+    fn of(solver: &Solver<'_>, nodes: &[[f32; 3]], split: usize) -> Self {
         let pyramid = solver.pyramid;
-        let fluxes = fluxes(pyramid, solver.grid, nodes);
-        let flux = |cell: &Cell| fluxes.get(cell).copied().unwrap_or(DVec3::ZERO);
-        let split = |cell: Cell| {
-            let children: Vec<Cell> = pyramid.children(cell).collect();
-            let mean = flux(&cell) / children.len().max(1) as f64;
-            let apart = children
-                .iter()
-                .map(|child| (flux(child) - mean).abs().element_sum());
-            let gain = apart.sum();
+        let moments = moments(pyramid, solver.grid, nodes);
+        let of = |cell: &Cell| moments.get(cell).copied().unwrap_or_default();
+        let worth = |cell: Cell| {
+            let moments = of(&cell);
+            let gain = moments.flux.element_sum() * moments.spread();
             Split { gain, cell }
         };
-        let mut waiting: BinaryHeap<Split> = pyramid.roots().into_iter().map(split).collect();
-        let mut done = Vec::new();
+        let roots = pyramid.roots();
+        let count = roots.len() + split;
+        let lit = |cell: &Cell| moments.contains_key(cell);
+        let mut waiting: BinaryHeap<Split> = roots.into_iter().filter(lit).map(worth).collect();
+        let mut cells = Vec::new();
         while let Some(Split { gain, cell }) = waiting.pop() {
-            if gain <= 0.0 || waiting.len() + done.len() >= count {
-                done.push(cell);
+            if gain <= 0.0 || waiting.len() + cells.len() >= count {
+                cells.push(cell);
             } else {
-                waiting.extend(pyramid.children(cell).map(split));
+                waiting.extend(pyramid.children(cell).filter(lit).map(worth));
             }
         }
-        done.retain(|cell| flux(cell) != DVec3::ZERO);
-        done.sort_unstable();
+        cells.sort_unstable();
+        let mut geometry = pyramid.geometry(&cells);
         let scale = f64::from(solver.coarse.scale);
-        let angles = pyramid.geometry(&done).solid_angles;
-        let radiance = done.iter().zip(angles).map(|(cell, angle)| {
-            (flux(cell) / (f64::from(angle) * scale))
-                .as_vec3()
-                .to_array()
-        });
+        let mut radiance = Vec::with_capacity(cells.len());
+        for (k, cell) in cells.iter().enumerate() {
+            let moments = of(cell);
+            let angle = f64::from(geometry.solid_angles[k]);
+            radiance.push((moments.flux / (angle * scale)).as_vec3().to_array());
+            geometry.directions[k] = moments.towards.normalize_or_zero().as_vec3();
+            geometry.spread[k] = moments.spread() as f32;
+        }
         Self {
-            radiance: radiance.collect(),
-            cells: done,
+            cells,
+            radiance,
+            geometry,
+        }
+    }
+
+    /// The coarsest cells, dark.
+    fn roots(solver: &Solver<'_>) -> Self {
+        let cells = solver.pyramid.roots();
+        Self {
+            radiance: vec![[0.0; 3]; cells.len()],
+            geometry: solver.pyramid.geometry(&cells),
+            cells,
         }
     }
 }
 
-/// Flux of the cells of all levels that have any.
-fn fluxes(pyramid: &Pyramid, grid: &HemisphereGrid, nodes: &[[f32; 3]]) -> BTreeMap<Cell, DVec3> {
-    let mut fluxes = BTreeMap::new();
-    for (node, radiance) in nodes.iter().enumerate().filter(|(_, r)| **r != [0.0; 3]) {
+/// Flux and moments of the cells of all levels that have any.
+fn moments(
+    pyramid: &Pyramid,
+    grid: &HemisphereGrid,
+    nodes: &[[f32; 3]],
+) -> BTreeMap<Cell, Moments> {
+    let mut moments: BTreeMap<Cell, Moments> = BTreeMap::new();
+    let lit = nodes.iter().enumerate().filter(|(_, r)| **r != [0.0; 3]);
+    for (node, radiance) in lit {
         let flux = f64::from(grid.solid_angle) * Vec3::from(*radiance).as_dvec3();
         let mut cell = Cell {
             level: pyramid.finest(),
             node: node as u32,
         };
         loop {
-            *fluxes.entry(cell).or_insert(DVec3::ZERO) += flux;
+            let of_cell = moments.entry(cell).or_default();
+            of_cell.add(flux, grid.directions[node]);
             if cell.level == 0 {
                 break;
             }
             cell = pyramid.parent(cell);
         }
     }
-    fluxes
+    moments
 }
 
 /// Points under the light.
@@ -318,8 +362,10 @@ impl Lobe {
 impl<'s> Lit<'s> {
     fn new(solver: &'s Solver<'_>, observations: &'s Observations, light: &LitCells) -> Self {
         let widest = Brdf::new(SpecularModel::Ggx, SIGMAS[0]);
+        let mut design = solver.shadowed_design(observations, &light.cells, &widest);
+        design.geometry.clone_from(&light.geometry);
         Self {
-            design: solver.shadowed_design(observations, &light.cells, &widest),
+            design,
             cells: light.cells.clone(),
             radiance: if observations.gray {
                 light.radiance.iter().map(|&l| gray(l)).collect()
@@ -563,11 +609,7 @@ fn align(
     go_on(watch.observer.progress("turning the light", 0.0))?;
     let nodes = (light.nodes)(0.0);
     let halves = [0, 1].map(|half| solver.coarse.every_second(half));
-    let roots = LitCells {
-        cells: solver.pyramid.roots(),
-        radiance: Vec::new(),
-    };
-    let mut lit = Lit::new(solver, &halves[0], &roots);
+    let mut lit = Lit::new(solver, &halves[0], &LitCells::roots(solver));
     let stated = solver.sigma.as_ref();
     let sigmas: &[f32] = stated.map_or(&SEARCHED, std::slice::from_ref);
     let mut tried: Vec<Trial> = Vec::with_capacity(TURNS);
@@ -775,6 +817,7 @@ fn with_parts(
     let cells = LitCells {
         cells: lit.cells.clone(),
         radiance: lit.radiance.clone(),
+        geometry: lit.design.geometry.clone(),
     };
     let on_parts = Lit::new(&parted, &observations, &cells);
     let mut brdf = lobe.brdf;
@@ -857,4 +900,30 @@ fn units(model: SpecularModel, reflectance: f32) -> Option<String> {
             100.0 * reflectance
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_disc_of_light_spreads_a_lobe_by_a_quarter_of_its_variance() {
+        let up = Vec3::new(0.48, 0.6, 0.64);
+        let grid = HemisphereGrid::new(70, up, None, Vec3::ZERO);
+        for radius in [0.1_f32, 0.2] {
+            let mut disc = Moments::default();
+            for &direction in &grid.directions {
+                if direction.dot(up) > radius.cos() {
+                    disc.add(DVec3::new(1.0, 2.0, 3.0), direction);
+                }
+            }
+            // A disc's variance along an axis is a quarter of its radius squared.
+            let expected = f64::from(radius * radius) / 16.0;
+            assert!((disc.spread() / expected - 1.0).abs() < 0.05, "{radius}");
+            assert!(disc.towards.as_vec3().angle_between(up) < 0.01);
+        }
+        let mut point = Moments::default();
+        point.add(DVec3::ONE, up);
+        assert!(point.spread() < 1e-7);
+    }
 }
