@@ -286,7 +286,7 @@ fn a_known_light_is_chosen_turned_and_said_in_the_result() {
     // Each choice is a step that can be undone.
     let turned = |window: &crate::driver::Window| {
         let turn = window.query_by_role_and_label(egui::Role::Slider, "Turn of the known light");
-        turn.and_then(|turn| turn.value())
+        turn.and_then(|turn| turn.accesskit_node().numeric_value())
     };
     let mut seen = vec![turned(&window)];
     for _ in 0..3 {
@@ -326,5 +326,6 @@ fn the_guide_is_opened_from_the_welcome_page_and_closed() {
     assert!(has(&window, "How to shoot a capture") && has(&window, "The turntable"));
     assert!(has(&window, "Where cameras stand"), "a drawing");
     click(&mut window, "Close");
+    window.run_steps(2);
     assert!(!has(&window, "The turntable"));
 }

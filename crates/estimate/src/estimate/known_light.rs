@@ -254,7 +254,8 @@ impl LitCells {
         let mut waiting: BinaryHeap<Split> = roots.into_iter().filter(lit).map(worth).collect();
         let mut cells = Vec::new();
         while let Some(Split { gain, cell }) = waiting.pop() {
-            if gain <= 0.0 || waiting.len() + cells.len() >= count {
+            let is_whole = cell.level == pyramid.finest() || gain <= 0.0;
+            if is_whole || waiting.len() + cells.len() >= count {
                 cells.push(cell);
             } else {
                 waiting.extend(pyramid.children(cell).filter(lit).map(worth));
