@@ -43,6 +43,13 @@ pub enum Ambient {
     None,
 }
 
+impl Ambient {
+    /// Beside a lighting that is known or not.
+    pub fn beside(is_known: bool) -> Self {
+        if is_known { Self::None } else { Self::Sought }
+    }
+}
+
 /// Divides the texture by its irradiance, fills what is unknown, and lets `texture` follow: unseen texels get filled
 /// albedo × own irradiance, and the confidence of filled ones is lowered.
 pub fn separate(

@@ -170,10 +170,6 @@ pub fn solve_under(
     let lamps = name_lamps(&found, known_light.is_some());
     let lobe = (found.brdf, known_light.as_ref());
     let lit = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, lobe);
-    let ambient = match light {
-        Some(_) => Ambient::None,
-        None => Ambient::Sought,
-    };
     let shortcuts = Shortcuts::without(options.estimate.avoided);
     let sight = Sight {
         mesh,
@@ -184,10 +180,11 @@ pub fn solve_under(
     };
     let gloss = gloss(&found, mesh, &measured.atlas, &minimum);
     let lobe = (found.brdf, gloss.as_ref());
-    let (mut texture, albedo) =
-        textures(sight, lobe, (&lit, ambient), &minimum, &mut clock, observer)?;
+    let lit = (&lit, Ambient::beside(light.is_some()));
+    let (mut texture, albedo) = textures(sight, lobe, lit, &minimum, &mut clock, observer)?;
     let atlas = measured.atlas;
 
+    let is_placed = misplaced.is_empty();
     let mut skipped = skipped(&found, &corrections);
     skipped.left_out.extend(shortcuts.counted());
     round_to_halves(&mut texture.confidence);
@@ -196,8 +193,7 @@ pub fn solve_under(
         outlined.into_iter().collect(),
         describe(&corrections),
         atlas.warnings.clone(),
-        misplaced.clone(),
-        found.diagnostics.warnings,
+        misplaced,
     ];
     Ok(Solution {
         name: stated.name.clone(),
@@ -212,11 +208,7 @@ pub fn solve_under(
         radiance: found.radiance,
         lamps,
         ambient: albedo.ambient,
-        diagnostics: Diagnostics {
-            well_posed: found.diagnostics.well_posed && misplaced.is_empty(),
-            warnings: warnings.concat(),
-            ..found.diagnostics
-        },
+        diagnostics: with_warnings(found.diagnostics, is_placed, &warnings),
         fit: Fit {
             misfit: found.misfit,
             ..summarise(&texture.fit)
@@ -233,6 +225,15 @@ pub fn solve_under(
         gloss,
         pictures,
     })
+}
+
+/// The diagnostics with what was said before them; a mesh has to lie where photographs show it.
+fn with_warnings(found: Diagnostics, is_placed: bool, before: &[Vec<String>]) -> Diagnostics {
+    Diagnostics {
+        well_posed: found.well_posed && is_placed,
+        warnings: [before.concat(), found.warnings].concat(),
+        ..found
+    }
 }
 
 /// Roughness and light; under `light` where that is known.
