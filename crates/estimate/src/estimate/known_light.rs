@@ -23,6 +23,7 @@ use rayon::prelude::*;
 use super::cells::{Cell, CellGeometry, Pyramid};
 use super::design::Design;
 use super::fast::{self, SIGMAS, Solver, Watch};
+use super::gloss;
 use super::misfit::Misfit;
 use super::observations::{Observations, Point, Seen};
 use super::observer::{Interim, Observer, Stopped, go_on, watched};
@@ -801,7 +802,7 @@ fn with_parts(
     let state = lit.state(&lobe);
     solver.report(&state, watch)?;
     let parts = if rounds > 0 && !stated {
-        solver.gloss_parts(&state)
+        solver.gloss_parts(&state, gloss::WORTH)
     } else {
         None
     };
