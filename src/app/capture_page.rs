@@ -258,12 +258,9 @@ impl CapturePage {
                     estimation_ui(ui, &mut shared.settings.estimation);
                 });
             });
-        let changed = self
-            .light
-            .changed(ui.ctx(), self.placing.now.light.as_ref());
-        if let Some(before) = changed {
-            self.placing.keep_light(before);
-        }
+        let light = self.placing.now.light.clone();
+        let keep = |before| self.placing.keep_light(before);
+        self.light.note_change(ui.ctx(), light.as_ref(), keep);
         let frame = theme::side(ui);
         egui::CentralPanel::default().frame(frame).show(ui, |ui| {
             ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {

@@ -91,17 +91,17 @@ impl KnownLightChoice {
         None
     }
 
-    /// The light before a change that has just ended: a drag is one change.
-    pub(super) fn changed(
+    /// Gives `keep` the light before a change that has just ended: a drag is one change.
+    pub(super) fn note_change(
         &mut self,
         ctx: &egui::Context,
         now: Option<&GivenLight>,
-    ) -> Option<Option<GivenLight>> {
+        keep: impl FnOnce(Option<GivenLight>),
+    ) {
         let is_held = ctx.input(|i| i.pointer.any_down()) || ctx.text_edit_focused();
-        if is_held || now == self.settled.as_ref() {
-            return None;
+        if !is_held && now != self.settled.as_ref() {
+            keep(std::mem::replace(&mut self.settled, now.cloned()));
         }
-        Some(std::mem::replace(&mut self.settled, now.cloned()))
     }
 
     /// Takes the light as it is now for settled, since it was undone or done again.

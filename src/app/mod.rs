@@ -149,6 +149,14 @@ enum Request {
     Align(Vec<MarkedPoint>),
 }
 
+/// What Help shows.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Help {
+    Keys,
+    About,
+    Guide,
+}
+
 /// The window's state.
 pub struct App {
     worker: Worker,
@@ -170,10 +178,7 @@ pub struct App {
     /// What the window's title says.
     title: String,
     palette: Option<CommandPalette>,
-    keys: bool,
-    about: bool,
-    /// Whether the guide is shown.
-    guide: bool,
+    help: Option<Help>,
     open_path: Option<OpenPath>,
 }
 
@@ -207,9 +212,7 @@ impl App {
             leaving: false,
             title: String::new(),
             palette: None,
-            keys: false,
-            about: false,
-            guide: false,
+            help: None,
             open_path: None,
         };
         if let Some(source) = start.open {
@@ -781,12 +784,7 @@ impl App {
             Action::Save => self.save(None),
             Action::SaveAs => self.pick(Purpose::SaveProject),
             Action::LocatePhotographs => self.pick(Purpose::Photographs),
-            Action::Undo | Action::Redo if self.page == Page::Capture => {
-                if let Some(page) = &mut self.capture {
-                    page.undo(ctx, action);
-                }
-            }
-            Action::Undo | Action::Redo => self.undo(action),
+            Action::Undo | Action::Redo => self.undo(ctx, action),
             Action::Welcome => self.page = Page::Welcome,
             Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
             Action::Align => self.align(Vec::new()),
@@ -853,9 +851,9 @@ impl App {
                 }
             }
             Action::Palette => self.palette = Some(CommandPalette::new()),
-            Action::Guide => self.guide = !self.guide,
-            Action::Keys => self.keys = !self.keys,
-            Action::About => self.about = true,
+            Action::Guide => self.toggle_help(Help::Guide),
+            Action::Keys => self.toggle_help(Help::Keys),
+            Action::About => self.help = Some(Help::About),
             Action::Dome => self.settings.dome = !self.settings.dome,
             Action::Frame
             | Action::ResetView
@@ -874,7 +872,17 @@ impl App {
         ctx.request_repaint();
     }
 
-    fn undo(&mut self, action: Action) {
+    fn toggle_help(&mut self, help: Help) {
+        self.help = (self.help != Some(help)).then_some(help);
+    }
+
+    fn undo(&mut self, ctx: &egui::Context, action: Action) {
+        if self.page == Page::Capture {
+            if let Some(page) = &mut self.capture {
+                page.undo(ctx, action);
+            }
+            return;
+        }
         let Some(relighting) = &mut self.relighting else {
             return;
         };
@@ -1035,6 +1043,7 @@ impl App {
         }
         let typing = ctx.text_edit_focused();
         let any_popup = egui::Popup::is_any_open(ctx);
+        let is_reading = matches!(self.help, Some(Help::Keys | Help::Guide));
         let also = [
             (egui::Key::K, Action::Palette),
             (egui::Key::Y, Action::Redo),
@@ -1049,10 +1058,7 @@ impl App {
             for (keys, action) in commands::by_keys() {
                 let plain = !keys.modifiers.command && !is_function_key(keys.logical_key);
                 // Without a modifier a key may be meant for a text field, or close a menu.
-                if plain
-                    && (typing || any_popup || self.keys || self.guide)
-                    && action != Action::Keys
-                {
+                if plain && (typing || any_popup || is_reading) && action != Action::Keys {
                     continue;
                 }
                 // Ctrl+A is a key of text fields.
@@ -1149,14 +1155,14 @@ impl App {
                 Chosen::Action(action) => self.act(ctx, action),
             }
         }
-        if self.keys && palette::key_sheet(ctx, self.settings.habit.gestures()) {
-            self.keys = false;
-        }
-        if self.about && about::show(ctx, self.gpu.as_ref()) {
-            self.about = false;
-        }
-        if self.guide && guide::show(ctx) {
-            self.guide = false;
+        let is_read = match self.help {
+            None => false,
+            Some(Help::Keys) => palette::key_sheet(ctx, self.settings.habit.gestures()),
+            Some(Help::About) => about::show(ctx, self.gpu.as_ref()),
+            Some(Help::Guide) => guide::show(ctx),
+        };
+        if is_read {
+            self.help = None;
         }
         if let Some(mut open_path) = self.open_path.take() {
             match open_path.show(ctx) {

@@ -154,17 +154,14 @@ fn begin_ui(ui: &mut egui::Ui, shared: &mut Shared<'_>, opening: Option<&Source>
         }
     });
     ui.add_space(10.0);
-    match opening {
-        Some(_) => {
-            ui.label(RichText::new("Reading photographs and mesh…").color(palette.accent));
-        }
-        None => {
-            ui.weak("Or drop a folder or a project on the window.");
-            let needs = ui.link("What a capture needs");
-            let tip = "How to shoot one: object, light, views, brackets, masks, mesh (Shift+F1)";
-            if needs.on_hover_text(tip).clicked() {
-                shared.actions.push(Request::Action(Action::Guide));
-            }
+    if opening.is_some() {
+        ui.label(RichText::new("Reading photographs and mesh…").color(palette.accent));
+    } else {
+        ui.weak("Or drop a folder or a project on the window.");
+        let needs = ui.link("What a capture needs");
+        let tip = "How to shoot one: object, light, views, brackets, masks, mesh (Shift+F1)";
+        if needs.on_hover_text(tip).clicked() {
+            shared.actions.push(Request::Action(Action::Guide));
         }
     }
     ui.add_space(theme::GAP);
