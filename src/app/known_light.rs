@@ -9,7 +9,7 @@ use eframe::egui::{
 };
 use glam::Vec2;
 
-use super::{Shared, theme};
+use super::Shared;
 use crate::worker::{Latest, Purpose, Worker};
 use rekindle_capture::Capture;
 use rekindle_scene::hemisphere::{Exposure, Picture};
@@ -117,15 +117,17 @@ impl KnownLightChoice {
         capture: &Capture,
         now: &mut Option<GivenLight>,
     ) {
-        theme::group(ui, "Light");
         if self.reading {
             ui.horizontal(|ui| {
+                ui.strong("Light");
                 ui.spinner();
                 ui.label("Reading the picture");
             });
             return;
         }
+        // In one line: the panel of a small window is full.
         ui.horizontal_wrapped(|ui| {
+            ui.strong("Light");
             let estimate = ui
                 .radio(now.is_none(), "Estimate it")
                 .on_hover_text("Find the lights by the highlights in the photographs");

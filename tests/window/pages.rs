@@ -329,7 +329,7 @@ fn the_guide_is_opened_from_the_welcome_page_and_closed() {
     assert!(has(&window, "How to shoot a capture") && has(&window, "The turntable"));
     assert!(has(&window, "Where cameras stand"), "a drawing");
     // It takes a few frames to find its place.
-    window.run_steps(4);
+    window.run_steps(12);
     click(&mut window, "Close");
     window.run_steps(2);
     assert!(!has(&window, "The turntable"));
