@@ -258,9 +258,11 @@ impl CapturePage {
                     estimation_ui(ui, &mut shared.settings.estimation);
                 });
             });
-        let light = self.placing.now.light.clone();
-        let keep = |before| self.placing.keep_light(before);
-        self.light.note_change(ui.ctx(), light.as_ref(), keep);
+        let light = self.placing.now.light.as_ref();
+        if self.light.has_changed(ui.ctx(), light) {
+            let before = self.light.settle(light);
+            self.placing.keep_light(before);
+        }
         let frame = theme::side(ui);
         egui::CentralPanel::default().frame(frame).show(ui, |ui| {
             ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {

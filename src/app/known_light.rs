@@ -91,22 +91,15 @@ impl KnownLightChoice {
         None
     }
 
-    /// Gives `keep` the light before a change that has just ended: a drag is one change.
-    pub(super) fn note_change(
-        &mut self,
-        ctx: &egui::Context,
-        now: Option<&GivenLight>,
-        keep: impl FnOnce(Option<GivenLight>),
-    ) {
+    /// Whether a change of the light has just ended: a drag is one change.
+    pub(super) fn has_changed(&self, ctx: &egui::Context, now: Option<&GivenLight>) -> bool {
         let is_held = ctx.input(|i| i.pointer.any_down()) || ctx.text_edit_focused();
-        if !is_held && now != self.settled.as_ref() {
-            keep(std::mem::replace(&mut self.settled, now.cloned()));
-        }
+        !is_held && now != self.settled.as_ref()
     }
 
-    /// Takes the light as it is now for settled, since it was undone or done again.
-    pub(super) fn settle(&mut self, now: Option<&GivenLight>) {
-        self.settled = now.cloned();
+    /// Takes the light as it is now for settled, and gives what was before.
+    pub(super) fn settle(&mut self, now: Option<&GivenLight>) -> Option<GivenLight> {
+        std::mem::replace(&mut self.settled, now.cloned())
     }
 
     /// Shows the choice.

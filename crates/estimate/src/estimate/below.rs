@@ -45,7 +45,7 @@ pub fn is_lit_from_below(
 ) -> bool {
     explains_better(everywhere.1, above.1)
         && predicts_better(
-            (everywhere.0, &everywhere.1.state),
-            (above.0, &above.1.state),
+            everywhere.1.left_out(everywhere.0),
+            above.1.left_out(above.0),
         )
 }

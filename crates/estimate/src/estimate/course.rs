@@ -102,7 +102,7 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
 /// Whether a coarse fit's lobe is more than an accident. One that leaves open how smooth the surface is has to predict views.
 fn is_glossy(solver: &Solver<'_>, coarse: &CoarseFit<'_>) -> bool {
     let is_clear = diagnose::explains_much(&coarse.state);
-    (is_clear && !diagnose::is_open(coarse)) || shows_gloss(solver, coarse)
+    (is_clear && !diagnose::is_open(coarse)) || shows_gloss(coarse.left_out(solver))
 }
 
 /// A coarse fit to go on from.
@@ -147,54 +147,40 @@ fn with_parts<R>(
     watch: &mut Watch<'_>,
     then: impl FnOnce(&Solver<'_>, Start<'_>, &mut Watch<'_>) -> Result<R, Stopped>,
 ) -> Result<R, Stopped> {
-    let (parts, faint) = match patches(solver, &coarse, choice, watch)? {
+    let (clear, faint) = match patches(solver, &coarse, choice, watch)? {
         Patches::Clear(parts) => (Some(parts), None),
         Patches::Faint(parts) => (None, Some(parts)),
         Patches::None => (None, None),
     };
-    let Some(parts) = parts else {
-        let start = Start {
-            coarse,
-            because,
-            faint,
-        };
-        return then(solver, start, watch);
-    };
-    let parted = solver.parted(&parts);
-    match better(&parted, (solver, &coarse), choice, watch)? {
-        Some((coarse, because)) => then(
-            &parted,
-            Start {
-                coarse,
-                because,
-                faint: None,
-            },
-            watch,
-        ),
-        None => then(
-            solver,
-            Start {
-                coarse,
-                because,
-                faint: None,
-            },
-            watch,
-        ),
+    if let Some(parts) = clear {
+        let parted = solver.parted(&parts);
+        if let Some(start) = better(&parted, (solver, &coarse), choice, watch)? {
+            return then(&parted, start, watch);
+        }
     }
+    let start = Start {
+        coarse,
+        because,
+        faint,
+    };
+    then(solver, start, watch)
 }
 
-/// The coarse fit on parts of the surface, with the reason for its lobe, where it explains and predicts the views better than one
-/// without.
+/// The coarse fit on parts of the surface, where it explains and predicts the views better than one without.
 fn better<'s>(
     parted: &'s Solver<'_>,
-    (solver, coarse): (&Solver<'_>, &CoarseFit<'_>),
+    (solver, without): (&Solver<'_>, &CoarseFit<'_>),
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
-) -> Result<Option<(CoarseFit<'s>, String)>, Stopped> {
-    let (on_parts, why) = choose(parted, choice, &SpecularModel::ALL, watch)?;
-    let is_better = explains_better(&on_parts, coarse)
-        && predicts_better((parted, &on_parts.state), (solver, &coarse.state));
-    Ok(is_better.then_some((on_parts, why)))
+) -> Result<Option<Start<'s>>, Stopped> {
+    let (coarse, because) = choose(parted, choice, &SpecularModel::ALL, watch)?;
+    let is_better = explains_better(&coarse, without)
+        && predicts_better(coarse.left_out(parted), without.left_out(solver));
+    Ok(is_better.then_some(Start {
+        coarse,
+        because,
+        faint: None,
+    }))
 }
 
 /// The end on some parts of the surface, where one gloss for all shows nothing.
@@ -206,13 +192,11 @@ fn on_parts(
     watch: &mut Watch<'_>,
 ) -> Result<Option<Ending>, Stopped> {
     let parted = solver.parted(parts);
-    let Some((on_parts, why)) = better(&parted, (solver, coarse), choice, watch)? else {
+    let start = better(&parted, (solver, coarse), choice, watch)?;
+    let Some(start) = start.filter(|start| is_glossy(&parted, &start.coarse)) else {
         return Ok(None);
     };
-    if !is_glossy(&parted, &on_parts) {
-        return Ok(None);
-    }
-    end(&parted, &on_parts, why, choice, watch).map(Some)
+    end(&parted, &start.coarse, start.because, choice, watch).map(Some)
 }
 
 /// The end on a refined surface, if there is one that explains more than `coarse`, the coarse fit on the solver's own surface,
@@ -231,15 +215,11 @@ fn on_refined(
     let median_tilt = relief::median_tilt(&solver.seen, &refined.seen);
     let before = left(&coarse.state);
     let ending = with_coarse_fit(&refined, choice, watch, |solver, start, watch| {
-        let Start {
-            coarse: again,
-            because,
-            ..
-        } = start;
-        if signed_ranks(&before, &left(&again.state)) <= SURE || !is_glossy(solver, &again) {
+        let again = &start.coarse;
+        if signed_ranks(&before, &left(&again.state)) <= SURE || !is_glossy(solver, again) {
             return Ok(None);
         }
-        end(solver, &again, because, choice, watch).map(Some)
+        end(solver, again, start.because, choice, watch).map(Some)
     })?;
     Ok(ending.map(|ending| Ending {
         refined: Some(RefinedSurface { mesh, median_tilt }),
@@ -353,14 +333,11 @@ fn patches(
     if !explains_better(&fit, coarse) {
         return Ok(Patches::None);
     }
-    let parts = |worth| {
-        parted
-            .gloss_parts(&fit.state, worth)
-            .map(|(parts, _)| parts)
-    };
-    let clear = parts(gloss::WORTH).map(Patches::Clear);
-    let faint = || parts(1.0).map(Patches::Faint);
-    Ok(clear.or_else(faint).unwrap_or(Patches::None))
+    Ok(match parted.gloss_parts(&fit.state, [gloss::WORTH, 1.0]) {
+        Some((worth, parts, _)) if worth < 1.0 => Patches::Clear(parts),
+        Some((_, parts, _)) => Patches::Faint(parts),
+        None => Patches::None,
+    })
 }
 
 /// Whether one coarse fit leaves so much less than another that it is worth more unknowns.
@@ -398,26 +375,10 @@ fn resolved<'s>(
         tried.push((state.unexplained(), state.brdf));
     }
     tried.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let because = reason([tried[0], tried[1]].map(|(left, brdf)| (left, brdf.model)));
+    let because = diagnose::chosen([tried[0], tried[1]].map(|(left, brdf)| (left, brdf.model)));
     let mut state = coarse.clone();
     state.brdf = tried[0].1;
     Ok(Some((state, because)))
-}
-
-/// Why one lobe was chosen before another, by what each leaves.
-fn reason([(least, chosen), (more, other)]: [(f64, SpecularModel); 2]) -> String {
-    let named = |model: SpecularModel| match model {
-        SpecularModel::Paper => "constant Fresnel and masking",
-        SpecularModel::Beckmann => "Beckmann's microfacets",
-        SpecularModel::Ggx => "GGX",
-        SpecularModel::Metal => "a metal",
-    };
-    format!(
-        "{} leaves {:.0} % of the residual that {} leaves",
-        named(chosen),
-        100.0 * least / more,
-        named(other)
-    )
 }
 
 /// The coarse fit of the model asked for, or of the one `among` others that leaves least, with the reason in words; the paper's
@@ -451,7 +412,7 @@ pub fn choose<'s>(
         solver.improve_coarse(fit, watch)?;
     }
     sort_by_rest(&mut fits[..improved]);
-    let because = reason([0, 1].map(|k| (fits[k].unexplained, fits[k].state.brdf.model)));
+    let because = diagnose::chosen([0, 1].map(|k| (fits[k].unexplained, fits[k].state.brdf.model)));
     Ok((fits.swap_remove(0), because))
 }
 

@@ -8,7 +8,7 @@ use super::state::State;
 use super::suspects::{Suspect, Suspicion, determines_roughness};
 use super::weights::median;
 use rekindle_capture::{Capture, View};
-use rekindle_scene::reflectance::Gloss;
+use rekindle_scene::reflectance::{Gloss, SpecularModel};
 use rekindle_scene::surface::GlossParts;
 
 /// What parts of the surface differ in gloss, to follow the reason for a lobe.
@@ -24,6 +24,22 @@ pub fn parts(parts: &GlossParts, sigma: f32) -> String {
     };
     let named: Vec<String> = parts.glosses.iter().enumerate().map(named).collect();
     format!("; the gloss differs: {} of the surface", named.join(", "))
+}
+
+/// Why one lobe was chosen before another, by what each leaves.
+pub fn chosen([(least, best), (more, other)]: [(f64, SpecularModel); 2]) -> String {
+    let named = |model: SpecularModel| match model {
+        SpecularModel::Paper => "constant Fresnel and masking",
+        SpecularModel::Beckmann => "Beckmann's microfacets",
+        SpecularModel::Ggx => "GGX",
+        SpecularModel::Metal => "a metal",
+    };
+    format!(
+        "{} leaves {:.0} % of the residual that {} leaves",
+        named(best),
+        100.0 * least / more.max(f64::MIN_POSITIVE),
+        named(other)
+    )
 }
 
 /// Fewer surface points seen by two views than this are no basis for an estimate.

@@ -7,16 +7,18 @@
 //! are split down to single nodes. Only surface points that could show one of the lit cells take part from then on.
 
 use std::collections::BTreeSet;
+use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::EstimateInput;
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
 use super::gloss;
-use super::held_out::predicts_better;
+use super::held_out::{Left, left_out, predicts_better};
 use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
 use super::merging::merge_lamps;
@@ -111,6 +113,15 @@ pub struct CoarseFit<'a> {
     pub unexplained: f64,
     /// How much of what the broadest lobe leaves unexplained the best one explains, in [0, 1].
     pub sharpness: f64,
+    /// See [`CoarseFit::left_out`].
+    left: OnceLock<Vec<Left>>,
+}
+
+impl CoarseFit<'_> {
+    /// What it leaves of views that had no say, looked at once; with its own solver. See [`left_out`].
+    pub fn left_out(&self, solver: &Solver<'_>) -> &[Left] {
+        self.left.get_or_init(|| left_out(solver, &self.state))
+    }
 }
 
 /// All that a fit works on.
@@ -179,6 +190,38 @@ fn spread_points(
         stop,
     };
     Observations::gather(seen, &sampling)
+}
+
+impl<'a> Solver<'a> {
+    /// A solver of an input whose surface has one gloss, with σ where it is stated.
+    pub fn new(
+        input: &EstimateInput<'a>,
+        sigma: Option<f32>,
+        pyramid: &'a Pyramid,
+        (shortcuts, workspace): (&'a Shortcuts, &'a Workspace),
+        started: Instant,
+        stop: &'a AtomicBool,
+    ) -> Self {
+        let seen = Seen {
+            mesh: &input.capture.mesh,
+            views: &input.capture.views,
+            surfaces: input.surfaces,
+            parts: None,
+        };
+        Self {
+            seen,
+            occluder: input.occluder,
+            grid: input.grid,
+            pyramid,
+            near: input.grid.radius.map(|r| (input.grid.centre, r)),
+            coarse: Self::coarse_observations(&seen, None, stop),
+            started,
+            shortcuts,
+            workspace,
+            sigma,
+            stop,
+        }
+    }
 }
 
 impl Solver<'_> {
@@ -262,6 +305,7 @@ impl Solver<'_> {
             state,
             unexplained: cost.max(f64::MIN_POSITIVE),
             sharpness,
+            left: OnceLock::new(),
         })
     }
 
@@ -280,6 +324,7 @@ impl Solver<'_> {
     ) -> Result<(), Stopped> {
         watch.observer.interim(Interim::Lobe(fit.state.brdf.model));
         self.improve(&mut fit.state, 4, ROUGH, watch)?;
+        fit.left.take();
         let unexplained = fit.state.unexplained().max(f64::MIN_POSITIVE);
         fit.unexplained = fit.unexplained.min(unexplained);
         Ok(())
@@ -340,7 +385,7 @@ impl Solver<'_> {
         watch: &mut Watch<'_>,
     ) -> Result<Fit, Stopped> {
         let found = if rounds > 0 {
-            self.gloss_parts(&state, gloss::WORTH)
+            self.gloss_parts(&state, [gloss::WORTH])
         } else {
             None
         };
@@ -348,7 +393,7 @@ impl Solver<'_> {
             let before = self.seen.parts;
             before.is_some_and(|before| parts.difference(before) < SAME_GLOSS)
         };
-        let Some((parts, main)) = found.filter(|(parts, _)| !settled(parts)) else {
+        let Some((_, parts, main)) = found.filter(|(_, parts, _)| !settled(parts)) else {
             return self.finish(state, step, observations, watch);
         };
         let parted = self.parted(&parts);
@@ -357,8 +402,8 @@ impl Solver<'_> {
         let is_new = self.seen.parts.is_none();
         if is_new
             && !predicts_better(
-                (&parted, &parted.dark_roots(with_main.brdf)),
-                (self, &self.dark_roots(state.brdf)),
+                &left_out(&parted, &parted.dark_roots(with_main.brdf)),
+                &left_out(self, &self.dark_roots(state.brdf)),
             )
         {
             return self.finish(state, step, observations, watch);

@@ -186,9 +186,13 @@ struct Lit<'a> {
 
 impl Solver<'_> {
     /// The parts of the surface whose gloss differs under the lights of a state, if there are any, and the gloss of the part that
-    /// is to be the main one, which the parts' are multiples of. A further gloss has to leave less than the part `worth` of what
-    /// fewer leave.
-    pub fn gloss_parts(&self, state: &State<'_>, worth: f64) -> Option<(GlossParts, Gloss)> {
+    /// is to be the main one, which the parts' are multiples of. A further gloss has to leave less than a part of what fewer leave:
+    /// the first of `worths` that finds any, which is told.
+    pub fn gloss_parts(
+        &self,
+        state: &State<'_>,
+        worths: impl IntoIterator<Item = f64>,
+    ) -> Option<(f64, GlossParts, Gloss)> {
         let observations = Observations::gather(
             &Seen {
                 parts: None,
@@ -215,10 +219,11 @@ impl Solver<'_> {
             weights: weights(&gray, state.residuals.noise),
         };
         let board = Board::new(&observations, &lit);
-        let kinds = board.kinds(worth, self.stop);
-        if kinds.len() < 2 {
-            return None;
-        }
+        let mut found = worths.into_iter();
+        let (worth, kinds) = found.find_map(|worth| {
+            let kinds = board.kinds(worth, self.stop);
+            (kinds.len() > 1).then_some((worth, kinds))
+        })?;
         let parts = board.walk(&kinds, |_| true);
         let glosses = refined(&lit, &parts, &kinds);
         // The one that explains most.
@@ -244,7 +249,7 @@ impl Solver<'_> {
         let glosses = glosses.into_iter().map(of_main).collect();
         let scale = observations.scale;
         let parts = GlossParts::new(glosses, board.contrast, scale, points.collect());
-        Some((parts, main))
+        Some((worth, parts, main))
     }
 
     /// The same solver where the surface has parts.

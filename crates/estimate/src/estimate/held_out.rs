@@ -9,10 +9,10 @@ use rayon::prelude::*;
 
 use super::cells::Cell;
 use super::design::Design;
-use super::fast::{CoarseFit, Solver};
+use super::fast::Solver;
 use super::observations::Observations;
 use super::state::{Precision, ROUGH, State};
-use super::weights::{deviation, magnitude};
+use super::weights::{Residuals, dark_residuals, deviation, initial_weights, magnitude};
 use rekindle_base::math::ranks::{SURE, signed_ranks, weighted_signed_ranks};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 
@@ -39,23 +39,17 @@ pub struct Left {
     pub shown: f64,
 }
 
-/// Whether the lobe of a coarse fit predicts views that had no say in the lights better than diffuse colours alone do, beyond
-/// chance.
-pub fn shows_gloss(solver: &Solver<'_>, fit: &CoarseFit<'_>) -> bool {
-    let left = left_out(solver, &fit.state);
+/// Whether what lights leave of views that had no say in them is less than what diffuse colours alone do, beyond chance.
+pub fn shows_gloss(left: &[Left]) -> bool {
     let column = |of: fn(&Left) -> f64| -> Vec<f64> { left.iter().map(of).collect() };
     // At all points, as gloss that is everywhere shows on all sides.
     signed_ranks(&column(|l| l.dark), &column(|l| l.lit)) > SURE
 }
 
-/// Whether the lobe of one state on its cells, with its solver, predicts such views better than another's by more than
-/// chance does in one case of twenty.
-pub fn predicts_better(
-    (solver, fit): (&Solver<'_>, &State<'_>),
-    other: (&Solver<'_>, &State<'_>),
-) -> bool {
-    let [own, others] = [(solver, fit), other].map(|(s, f)| left_out(s, f));
-    let pairs = others.iter().zip(&own);
+/// Whether one explanation leaves less of such views than another by more than chance does in one case of twenty; each at the same
+/// points.
+pub fn predicts_better(own: &[Left], others: &[Left]) -> bool {
+    let pairs = others.iter().zip(own);
     is_less(pairs.map(|(other, own)| (other.shown.max(own.shown), other.lit, own.lit))) > CHANCE
 }
 
@@ -67,17 +61,19 @@ fn is_less(values: impl Iterator<Item = (f64, f64, f64)>) -> f64 {
     weighted_signed_ranks(&column(|v| v.0), &column(|v| v.1), &column(|v| v.2))
 }
 
-/// What is left at each of many points in views that had no say, at the price of light that leaves least.
-fn left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<Left> {
+/// What the lobe of a state on its cells leaves at each of many points in views that had no say, at the price of light that leaves
+/// least.
+pub fn left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<Left> {
     let turns = solver.seen.views.len().min(MOST_TURNS);
     let points = solver.colours(POINTS).to_gray();
     // What the object mirrors of itself is no light: it is where none comes past it.
     let design = solver.shadowed_design(&points, &fit.cells, &fit.brdf);
+    let noise = common_noise(&design);
     let of_turns: Vec<Vec<Vec<Left>>> = (0..turns)
         .into_par_iter()
         .map(|turn| {
             let is_out = |view| view % turns == turn;
-            left_in(&design, &fit.cells, fit.brdf, &PRICES, is_out)
+            left_in(&design, &fit.cells, fit.brdf, noise, &PRICES, is_out)
         })
         .collect();
     let of_price = |price: usize| -> Vec<Left> {
@@ -97,45 +93,53 @@ fn left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<Left> {
 }
 
 /// What is left at each point of a design in the views that `is_out` leaves out, with the lights that the other views say on some
-/// cells, for each of some prices of light.
+/// cells, for each of some prices of light; see [`common_noise`].
 pub fn left_in(
     design: &Design<'_>,
     cells: &[Cell],
     brdf: Brdf,
+    noise: f32,
     prices: &[f64],
     is_out: impl Fn(usize) -> bool,
 ) -> Vec<Vec<Left>> {
     let rows = &design.observations.rows;
     let tells = |k: usize| !is_out(rows[k].view);
-    let noise = noise_of(design, cells);
     let mut fitted = State::new(design.clone(), cells.to_vec(), brdf);
     fitted.silence(tells);
     fitted.solve_lights(ROUGH);
     fitted.reweight();
     fitted.silence(tells);
     let deviation = f64::from(fitted.rms());
+    let mut judged = State::new(design.clone(), cells.to_vec(), brdf);
+    judged.silence(tells);
+    let dark = judged.dark_residuals();
     let of_price = |price: &f64| {
         fitted.solve_lights(Precision {
             price: price * deviation,
             ..ROUGH
         });
-        left_by(&fitted.judged_by(tells), noise, &is_out)
+        judged.light_by(&fitted.radiance);
+        left_by(&judged, &dark, noise, &is_out)
     };
     prices.iter().map(of_price).collect()
 }
 
 /// Noise of the rows of a design without lights and gloss, which all explanations have in common: their own would favour those that
 /// explain little.
-fn noise_of(design: &Design<'_>, cells: &[Cell]) -> f32 {
+pub fn common_noise(design: &Design<'_>) -> f32 {
     let matte = Brdf::new(SpecularModel::Paper, 1.0);
-    let dark = State::new(design.clone(), cells.to_vec(), matte).dark_residuals();
+    let dark = dark_residuals(design, &matte, &initial_weights(design));
     dark.noise.max(f32::MIN_POSITIVE)
 }
 
 /// What lights that others have said leave at each point in the views that `is_out` says.
-fn left_by(judged: &State<'_>, noise: f32, is_out: impl Fn(usize) -> bool) -> Vec<Left> {
+fn left_by(
+    judged: &State<'_>,
+    dark: &Residuals,
+    noise: f32,
+    is_out: impl Fn(usize) -> bool,
+) -> Vec<Left> {
     let Observations { points, rows, .. } = judged.design.observations;
-    let dark = judged.dark_residuals();
     let of_point = |own: Range<usize>| {
         let (out, kept): (Vec<usize>, Vec<usize>) = own.partition(|&k| is_out(rows[k].view));
         let mut left = Left::default();

@@ -25,10 +25,12 @@ use super::design::Design;
 use super::fast::{self, SIGMAS, Solver, Watch};
 use super::gloss;
 use super::misfit::Misfit;
-use super::observations::{Observations, Point, Seen};
+use super::observations::{Observations, Point};
 use super::observer::{Interim, Observer, Stopped, go_on, watched};
 use super::state::{CLUSTERS, State, spread};
-use super::weights::{Residuals, eliminate, initial_weights, magnitude, residuals, robust_weights};
+use super::weights::{
+    Residuals, eliminate_all, initial_weights, magnitude, residuals, robust_weights,
+};
 use super::workspace::Workspace;
 use super::{
     Estimate, EstimateInput, EstimateParams, HALF_INTERVAL, Reduced, SpecularChoice, diagnose,
@@ -112,26 +114,15 @@ pub fn estimate_under(
         let input = reduced.as_ref().map_or(*input, |r| r.input(input));
         let stop = watcher.stop();
         let pyramid = Pyramid::new(input.grid, fast::COARSEST);
-        let seen = Seen {
-            mesh: &input.capture.mesh,
-            views: &input.capture.views,
-            surfaces: input.surfaces,
-            parts: None,
-        };
         let workspace = Workspace::new();
-        let solver = Solver {
-            seen,
-            occluder: input.occluder,
-            grid: input.grid,
-            pyramid: &pyramid,
-            near: input.grid.radius.map(|r| (input.grid.centre, r)),
-            coarse: Solver::coarse_observations(&seen, None, stop),
-            started: Instant::now(),
-            shortcuts: &shortcuts,
-            workspace: &workspace,
-            sigma: params.sigma,
+        let solver = Solver::new(
+            &input,
+            params.sigma,
+            &pyramid,
+            (&shortcuts, &workspace),
+            Instant::now(),
             stop,
-        };
+        );
         let mut iterations = Vec::new();
         let mut watch = Watch {
             iterations: &mut iterations,
@@ -387,8 +378,11 @@ impl<'s> Lit<'s> {
         let rows = &self.design.observations.rows;
         let mut measured: Vec<[f32; 3]> = rows.iter().map(|row| row.radiance).collect();
         let mut unit = prediction.value.clone();
-        self.eliminate(&brdf, &weights, &mut measured);
-        self.eliminate(&brdf, &weights, &mut unit);
+        let out = |values: &mut [[f32; 3]]| {
+            eliminate_all(self.design.observations, &brdf, &weights, values);
+        };
+        out(&mut measured);
+        out(&mut unit);
         let [with, of] = [&measured, &unit].map(|other| products(&weights, &unit, other));
         let scale = ratios(brdf.model, with, of);
         let times = |values: &mut [[f32; 3]]| {
@@ -399,7 +393,7 @@ impl<'s> Lit<'s> {
         times(&mut prediction.value);
         times(&mut prediction.by_sigma);
         let mut by_sigma = prediction.by_sigma.clone();
-        self.eliminate(&brdf, &weights, &mut by_sigma);
+        out(&mut by_sigma);
         let imitated = ratios_of_any_sign(brdf.model, products(&weights, &unit, &by_sigma), of);
         for (derivative, unit) in by_sigma.iter_mut().zip(&unit) {
             *derivative = [0, 1, 2].map(|c| derivative[c] - imitated[c] as f32 * unit[c]);
@@ -411,17 +405,6 @@ impl<'s> Lit<'s> {
             weights,
             residuals,
             by_sigma,
-        }
-    }
-
-    /// Takes the best diffuse colour of each point out of one RGB value per row.
-    fn eliminate(&self, brdf: &Brdf, weights: &[f32], values: &mut [[f32; 3]]) {
-        let observations = self.design.observations;
-        for point in &observations.points {
-            let rows = point.rows.clone();
-            let cosines = observations.rows[rows.clone()].iter().map(|r| r.cos_view);
-            let brdf = brdf.at(observations.glosses[point.gloss]);
-            eliminate(&brdf, cosines, &weights[rows.clone()], &mut values[rows]);
         }
     }
 
@@ -501,8 +484,9 @@ impl<'s> Lit<'s> {
             .radiance
             .iter()
             .map(|l| [0, 1, 2].map(|c| l[c] * lobe.scale[c] as f32));
-        let state = State::new(self.design.clone(), self.cells.clone(), lobe.brdf);
-        state.lit_by(scaled.collect())
+        let mut state = State::new(self.design.clone(), self.cells.clone(), lobe.brdf);
+        state.light_by(&scaled.collect::<Vec<_>>());
+        state
     }
 }
 
@@ -572,12 +556,7 @@ fn choose(
         return Ok(None);
     };
     let because = match fits.get(1) {
-        Some(second) => format!(
-            "{} leaves {:.0} % of the residual that {} leaves",
-            best.brdf.model.name(),
-            100.0 * best.left() / second.left().max(f64::MIN_POSITIVE),
-            second.brdf.model.name()
-        ),
+        Some(second) => diagnose::chosen([best, second].map(|l| (l.left(), l.brdf.model))),
         None if models.len() == 1 => "it was asked for".to_owned(),
         None => "every other form of the lobe leaves clearly more".to_owned(),
     };
@@ -802,11 +781,11 @@ fn with_parts(
     let state = lit.state(&lobe);
     solver.report(&state, watch)?;
     let parts = if rounds > 0 && !stated {
-        solver.gloss_parts(&state, gloss::WORTH)
+        solver.gloss_parts(&state, [gloss::WORTH])
     } else {
         None
     };
-    let Some((parts, main)) = parts else {
+    let Some((_, parts, main)) = parts else {
         return Ok(Found {
             misfit: Misfit::of(&state),
             parts: solver.seen.parts.cloned(),

@@ -56,7 +56,6 @@ use cells::Pyramid;
 use course::{Ending, Outcome, Rules};
 use fast::{Fit, Solver, Watch};
 pub use known_light::{GivenLight, UnderGivenLight, estimate_under};
-use observations::Seen;
 use observer::go_on;
 pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 pub use observer::{Watcher, watched};
@@ -291,26 +290,15 @@ fn run(
     let observer: &mut dyn Observer = &mut watcher;
     let grid = input.grid;
     let pyramid = Pyramid::new(grid, fast::COARSEST);
-    let seen = Seen {
-        mesh: &input.capture.mesh,
-        views: &input.capture.views,
-        surfaces: input.surfaces,
-        parts: None,
-    };
     let workspace = Workspace::new();
-    let solver = Solver {
-        seen,
-        occluder: input.occluder,
-        grid,
-        pyramid: &pyramid,
-        near: grid.radius.map(|r| (grid.centre, r)),
-        coarse: Solver::coarse_observations(&seen, None, stop),
-        started: start.clock,
-        shortcuts,
-        workspace: &workspace,
-        sigma: params.sigma,
+    let solver = Solver::new(
+        input,
+        params.sigma,
+        &pyramid,
+        (shortcuts, &workspace),
+        start.clock,
         stop,
-    };
+    );
     let mut result = Estimate {
         convergence: start.convergence,
         exposures: start.exposures.clone(),

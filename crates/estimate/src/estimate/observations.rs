@@ -170,13 +170,7 @@ impl Observations {
     /// The same without the rows of some views and the points that then have fewer than two, and the places that its rows have
     /// here.
     pub fn without_views(&self, is_out: impl Fn(usize) -> bool) -> (Self, Vec<usize>) {
-        let mut without = Self {
-            glosses: self.glosses.clone(),
-            points: Vec::new(),
-            rows: Vec::new(),
-            scale: self.scale,
-            gray: self.gray,
-        };
+        let mut without = self.emptied();
         let mut places = Vec::new();
         for point in &self.points {
             let mut kept: Vec<usize> = point.rows.clone().collect();
@@ -184,12 +178,7 @@ impl Observations {
             if kept.len() < 2 {
                 continue;
             }
-            let first = without.rows.len();
-            without.rows.extend(kept.iter().map(|&k| self.rows[k]));
-            without.points.push(Point {
-                rows: first..without.rows.len(),
-                ..point.clone()
-            });
+            without.take(point, kept.iter().map(|&k| self.rows[k]));
             places.extend(kept);
         }
         (without, places)
@@ -198,21 +187,31 @@ impl Observations {
     /// Every second point, from the first or the second on.
     #[must_use]
     pub fn every_second(&self, first: usize) -> Self {
-        let mut some = Self {
+        let mut some = self.emptied();
+        for point in self.points.iter().skip(first).step_by(2) {
+            some.take(point, self.rows[point.rows.clone()].iter().copied());
+        }
+        some
+    }
+
+    /// The same without points.
+    fn emptied(&self) -> Self {
+        Self {
             glosses: self.glosses.clone(),
             points: Vec::new(),
             rows: Vec::new(),
             ..*self
-        };
-        for point in self.points.iter().skip(first).step_by(2) {
-            let start = some.rows.len();
-            some.rows.extend(&self.rows[point.rows.clone()]);
-            some.points.push(Point {
-                rows: start..some.rows.len(),
-                ..point.clone()
-            });
         }
-        some
+    }
+
+    /// Takes in a point of others with these rows.
+    fn take(&mut self, point: &Point, rows: impl Iterator<Item = Row>) {
+        let first = self.rows.len();
+        self.rows.extend(rows);
+        self.points.push(Point {
+            rows: first..self.rows.len(),
+            ..point.clone()
+        });
     }
 
     /// The same on a surface whose parts differ in gloss.

@@ -31,7 +31,7 @@ use super::cells::{Cell, CellGeometry};
 use super::course::choose;
 use super::design::Design;
 use super::fast::{CoarseFit, Solver, Watch};
-use super::held_out::{CHANCE, left_in};
+use super::held_out::{CHANCE, common_noise, left_in};
 use super::observations::{Observations, Point, Seen};
 use super::observer::{Stopped, go_on};
 use super::state::ROUGH;
@@ -654,12 +654,13 @@ impl Relief {
         self.turn(&mut present);
         let [fair, present] = [&fair, &present].map(|points| design(solver, lamps, points));
         let around = lamps.around(solver);
+        let noise = common_noise(&fair);
         let left = |on: &Design<'_>, sigma: f32| -> Vec<f64> {
             let brdf = Brdf {
                 sigma,
                 ..lamps.brdf
             };
-            let left = left_in(on, &around, brdf, &[0.0], &is_out);
+            let left = left_in(on, &around, brdf, noise, &[0.0], &is_out);
             left.iter().flatten().map(|left| left.lit).collect()
         };
         let refined = left(&present, lamps.brdf.sigma);

@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use super::cells::Cell;
 use super::design::{Design, NormalEquations, Prediction};
 use super::weights::{
-    Residuals, eliminate, initial_weights, magnitude, residuals, robust_objective, robust_weights,
-    weighted_rms,
+    Residuals, dark_residuals, eliminate_all, initial_weights, magnitude, residuals,
+    robust_objective, robust_weights, weighted_rms,
 };
 use rekindle_base::math::nnls::{self, NnlsParams};
 use rekindle_scene::reflectance::{Brdf, Gloss};
@@ -132,12 +132,10 @@ impl<'a> State<'a> {
         }
     }
 
-    /// The same under other lights, radiance per cell.
-    #[must_use]
-    pub fn lit_by(mut self, radiance: Vec<[f32; 3]>) -> Self {
-        self.radiance = radiance;
+    /// Takes other lights, radiance per cell.
+    pub fn light_by(&mut self, radiance: &[[f32; 3]]) {
+        self.radiance.clone_from_slice(radiance);
         self.predict();
-        self
     }
 
     /// The lights at another σ, sought from darkness.
@@ -187,15 +185,6 @@ impl<'a> State<'a> {
         moved.candidates.clone_from(&self.candidates);
         moved.predict();
         moved
-    }
-
-    /// The same lights, where the points' diffuse colours are those of the rows that `tell` alone.
-    pub fn judged_by(&self, tell: impl Fn(usize) -> bool) -> Self {
-        let mut judged = State::new(self.design.clone(), self.cells.clone(), self.brdf);
-        judged.radiance.clone_from(&self.radiance);
-        judged.silence(tell);
-        judged.predict();
-        judged
     }
 
     /// Takes away the say of rows that don't `tell`.
@@ -495,11 +484,7 @@ impl<'a> State<'a> {
 
     /// What the rows show without any light.
     pub fn dark_residuals(&self) -> Residuals {
-        let none = Prediction {
-            value: vec![[0.0; 3]; self.design.observations.rows.len()],
-            by_sigma: Vec::new(),
-        };
-        residuals(&self.design, &self.brdf, &self.weights, &none)
+        dark_residuals(&self.design, &self.brdf, &self.weights)
     }
 
     /// Weighted root mean square residual, in units of the observations' scale.
@@ -662,17 +647,7 @@ impl<'a> State<'a> {
 
     /// Takes the best diffuse colour of each point out of one RGB value per row.
     pub fn eliminate(&self, values: &mut [[f32; 3]]) {
-        let observations = self.design.observations;
-        for point in &observations.points {
-            let rows = point.rows.clone();
-            let cosines = observations.rows[rows.clone()].iter().map(|r| r.cos_view);
-            eliminate(
-                &self.brdf.at(observations.glosses[point.gloss]),
-                cosines,
-                &self.weights[rows.clone()],
-                &mut values[rows],
-            );
-        }
+        eliminate_all(self.design.observations, &self.brdf, &self.weights, values);
     }
 }
 

@@ -63,16 +63,34 @@ pub fn residuals(
                 *value = measured - *value;
             }
         }
-        let brdf = brdf.at(design.observations.glosses[point.gloss]);
-        eliminate(
-            &brdf,
-            rows[point.rows.clone()].iter().map(|r| r.cos_view),
-            &weights[point.rows.clone()],
-            &mut values[point.rows.clone()],
-        );
     }
+    eliminate_all(design.observations, brdf, weights, &mut values);
     let noise = noise_level(design, weights, &values);
     Residuals { values, noise }
+}
+
+/// What the rows of a design show without any light.
+pub fn dark_residuals(design: &Design<'_>, brdf: &Brdf, weights: &[f32]) -> Residuals {
+    let none = Prediction {
+        value: vec![[0.0; 3]; design.observations.rows.len()],
+        by_sigma: Vec::new(),
+    };
+    residuals(design, brdf, weights, &none)
+}
+
+/// Takes the best diffuse colour of each point out of one RGB value per row, where `brdf` is the main lobe.
+pub fn eliminate_all(
+    observations: &Observations,
+    brdf: &Brdf,
+    weights: &[f32],
+    values: &mut [[f32; 3]],
+) {
+    for point in &observations.points {
+        let rows = point.rows.clone();
+        let cosines = observations.rows[rows.clone()].iter().map(|r| r.cos_view);
+        let brdf = brdf.at(observations.glosses[point.gloss]);
+        eliminate(&brdf, cosines, &weights[rows.clone()], &mut values[rows]);
+    }
 }
 
 /// Of each of a point's rows, the part of it that goes into the point's diffuse colour, and the part of the diffuse colour
