@@ -12,6 +12,7 @@ use std::sync::atomic::Ordering;
 use faer::linalg::solvers::Solve;
 use faer::{Col, Mat, Side};
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::cells::Cell;
 use super::design::Design;
@@ -20,7 +21,7 @@ use super::fast::Solver;
 use super::observations::Observations;
 use super::state::State;
 use rekindle_base::math::groups::linked_groups;
-use rekindle_scene::hemisphere::{Lamp, find_lamps};
+use rekindle_scene::hemisphere::{HemisphereGrid, Lamp, find_lamps};
 
 /// Parts of lamps with a larger radius, in widths of the lobe, show the lamp's own shape and not an ellipse.
 const WIDEST: f32 = 2.0;
@@ -63,12 +64,12 @@ pub fn merge_lamps(
         observations,
         nodes: &nodes,
     };
+    let lamps = find_lamps(solver.grid, &nodes);
     let width = state.lobe_width();
-    let near = |a: &Lamp, b: &Lamp| judge.gap(a, b) < width;
-    let groups = linked_groups(find_lamps(solver.grid, &nodes), near);
+    let gaps = Gaps::new(solver.grid, &lamps, width);
     let mut merged = Vec::new();
-    for group in groups {
-        judge.merge(&group, &mut merged);
+    for group in gaps.groups((0..lamps.len()).collect(), width) {
+        judge.merge(&group, (&lamps, &gaps), &mut merged);
     }
     for &node in merged.iter().flat_map(|one| &one.lamp.nodes) {
         nodes[node as usize] = [0.0; 3];
@@ -98,40 +99,97 @@ fn light(nodes: impl IntoIterator<Item = (usize, [f32; 3])>) -> Light {
     light
 }
 
+/// How far lamps lie apart: the distance of the nearest of their nodes, on the unit sphere.
+struct Gaps {
+    lamps: usize,
+    /// Those of each lamp to all, lamp by lamp; infinite where no nodes come near each other.
+    gaps: Vec<f32>,
+}
+
+impl Gaps {
+    /// Those below `most` of some lamps.
+    fn new(grid: &HemisphereGrid, lamps: &[Lamp], most: f32) -> Self {
+        let direction = |&node: &u32| grid.directions[node as usize];
+        let reach = |lamp: &Lamp| {
+            let from_middle = lamp
+                .nodes
+                .iter()
+                .map(|node| direction(node).distance(lamp.direction));
+            from_middle.fold(0.0, f32::max)
+        };
+        let reaches: Vec<f32> = lamps.iter().map(reach).collect();
+        let gap = |(i, j): (usize, usize)| {
+            let (a, b) = (&lamps[i], &lamps[j]);
+            let near = b.nodes.iter().map(direction);
+            let near = near.filter(|d| d.distance(a.direction) < reaches[i] + most);
+            let near: Vec<Vec3> = near.collect();
+            let squared = a.nodes.iter().map(direction).flat_map(|d| {
+                let to = move |e: &Vec3| d.distance_squared(*e);
+                near.iter().map(to)
+            });
+            let gap = squared.fold(f32::INFINITY, f32::min).sqrt();
+            if gap < most { gap } else { f32::INFINITY }
+        };
+        let pairs = (0..lamps.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
+        let pairs: Vec<(usize, usize)> = pairs.collect();
+        let found: Vec<f32> = pairs.par_iter().map(|&pair| gap(pair)).collect();
+        let mut gaps = vec![f32::INFINITY; lamps.len() * lamps.len()];
+        for (&(i, j), gap) in pairs.iter().zip(found) {
+            gaps[i * lamps.len() + j] = gap;
+            gaps[j * lamps.len() + i] = gap;
+        }
+        Self {
+            lamps: lamps.len(),
+            gaps,
+        }
+    }
+
+    fn between(&self, i: usize, j: usize) -> f32 {
+        self.gaps[i * self.lamps + j]
+    }
+
+    /// The groups that hang together by smaller gaps.
+    fn groups(&self, lamps: Vec<usize>, gap: f32) -> Vec<Vec<usize>> {
+        linked_groups(lamps, |&i, &j| self.between(i, j) < gap)
+    }
+
+    /// The largest of the gaps by which a group just hangs together: the longest edge of its minimum spanning tree, as Prim
+    /// grows it.
+    fn widest_link(&self, group: &[usize]) -> f32 {
+        let mut left: Vec<(usize, f32)> = group.iter().map(|&i| (i, f32::INFINITY)).collect();
+        let mut widest = 0.0_f32;
+        let mut last = left.pop().map(|(i, _)| i);
+        while let Some(i) = last {
+            for (j, gap) in &mut left {
+                *gap = gap.min(self.between(i, *j));
+            }
+            let nearest = (0..left.len()).min_by(|&a, &b| left[a].1.total_cmp(&left[b].1));
+            let next = nearest.map(|k| left.swap_remove(k));
+            widest = next.map_or(widest, |(_, gap)| widest.max(gap));
+            last = next.map(|(i, _)| i);
+        }
+        widest
+    }
+}
+
 impl Judge<'_> {
     fn is_stopped(&self) -> bool {
         self.solver.stop.load(Ordering::Relaxed)
     }
 
-    /// Angle between the nearest nodes of two lamps, radians.
-    fn gap(&self, a: &Lamp, b: &Lamp) -> f32 {
-        let direction = |&node: &u32| self.solver.grid.directions[node as usize];
-        let squared = a.nodes.iter().map(direction).flat_map(|d| {
-            let to = move |e: Vec3| d.distance_squared(e);
-            b.nodes.iter().map(direction).map(to)
-        });
-        squared.fold(f32::INFINITY, f32::min).sqrt()
-    }
-
     /// Puts together what is one lamp: all of a group, or else of the parts that its widest gap divides it into.
-    fn merge(&self, group: &[Lamp], merged: &mut Vec<Merged>) {
+    fn merge(&self, group: &[usize], all: (&[Lamp], &Gaps), merged: &mut Vec<Merged>) {
         if group.len() < 2 || self.is_stopped() {
             return;
         }
-        if let Some(one) = self.as_one(group) {
+        let (lamps, gaps) = all;
+        let of_group: Vec<Lamp> = group.iter().map(|&i| lamps[i].clone()).collect();
+        if let Some(one) = self.as_one(&of_group) {
             merged.push(one);
             return;
         }
-        let mut gaps: Vec<f32> = (group.iter().enumerate())
-            .flat_map(|(i, a)| group[..i].iter().map(move |b| (a, b)))
-            .map(|(a, b)| self.gap(a, b))
-            .collect();
-        gaps.sort_by(|a, b| b.total_cmp(a));
-        for gap in gaps {
-            let parts = linked_groups(group.to_vec(), |a, b| self.gap(a, b) < gap);
-            if parts.len() > 1 {
-                return parts.iter().for_each(|part| self.merge(part, merged));
-            }
+        for part in gaps.groups(group.to_vec(), gaps.widest_link(group)) {
+            self.merge(&part, all, merged);
         }
     }
 
