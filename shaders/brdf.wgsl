@@ -12,6 +12,7 @@ const NO_LOBE: u32 = 4u;
 const MIN_COS_VIEW: f32 = 1e-3;
 const REFRACTIVE_INDEX: f32 = 1.5;
 const NORMAL_FRESNEL: f32 = 0.04;
+const USUAL_METAL: f32 = 0.5;
 /// Exponent beyond which a lobe is nothing: 1e-5 of its peak.
 const CUT_EXPONENT: f32 = 11.5;
 

@@ -51,7 +51,9 @@ struct Frame {
     radius: f32,
     /// Largest specular strength of any part, as a multiple of the main lobe's.
     strongest: f32,
-    /// That of the main lobe, as a multiple of what such surfaces usually have.
+    /// The surface's colour where it is a metal, else 1.
+    tint: vec3f,
+    /// Specular strength of the main lobe, as a multiple of what such surfaces usually have.
     strength: f32,
 }
 

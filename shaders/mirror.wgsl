@@ -76,9 +76,14 @@ fn trace(origin: vec3f, direction: vec3f) -> Hit {
 /// mean 2σ².
 fn lobe_half_vector(i: u32, brdf: Brdf) -> vec3f {
     let u = (f32(i) + 0.5) / f32(HALF_VECTORS);
-    let tangent = brdf.sigma * sqrt(2.0 * select(-log(1.0 - u), u / (1.0 - u), brdf.model == GGX));
+    let tangent = brdf.sigma * sqrt(2.0 * select(-log(1.0 - u), u / (1.0 - u), brdf.model == GGX || brdf.model == METAL));
     let angle = f32(i) * 2.3999632;
     return normalize(vec3f(tangent * cos(angle), tangent * sin(angle), 1.0));
+}
+
+/// What facets seen at the cosine `c` pass on, without masking; a metal's without its colour.
+fn facet_fresnel(brdf: Brdf, c: f32) -> f32 {
+    return min(brdf.strength * select(fresnel(c), USUAL_METAL, brdf.model == METAL), 1.0);
 }
 
 /// A ray of this frame and the part of what it meets that is seen: weighted as the facets that the viewer sees, times
@@ -92,7 +97,7 @@ fn mirror_ray(brdf: Brdf, normal: vec3f, view: vec3f) -> MirrorRay {
     let cos_view = dot(normal, view);
     if (frame.half_vector >= HALF_VECTORS) {
         let light = normal * (2.0 * cos_view) - view;
-        return MirrorRay(light, min(brdf.strength * fresnel(max(cos_view, 1e-3)), 1.0) * masking(brdf, max(cos_view, 1e-4)));
+        return MirrorRay(light, facet_fresnel(brdf, max(cos_view, 1e-3)) * masking(brdf, max(cos_view, 1e-4)));
     }
     var tangent = view - normal * cos_view;
     if (dot(tangent, tangent) < 1e-12) {
@@ -114,6 +119,6 @@ fn mirror_ray(brdf: Brdf, normal: vec3f, view: vec3f) -> MirrorRay {
     if (between <= 0.0 || cos_light <= 0.0) {
         return MirrorRay(light, 0.0);
     }
-    let passes = min(brdf.strength * fresnel(between), 1.0) * masking(brdf, max(cos_light, 1e-4));
+    let passes = facet_fresnel(brdf, between) * masking(brdf, max(cos_light, 1e-4));
     return MirrorRay(light, passes * between / local.z * f32(HALF_VECTORS) / max(total, 1e-6));
 }

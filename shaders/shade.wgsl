@@ -262,7 +262,43 @@ fn mirrored(brdf: Brdf, triangle: Triangle, surface: Surface, view: vec3f) -> ve
         radiance = textureSampleLevel(albedo_texture, linear_sampler, there.uv, 0.0).rgb
             * (textureSampleLevel(irradiance_texture, linear_sampler, there.light_uv, 0.0).rgb + frame.ambient);
     }
-    return radiance * (ray.weight * diffuse_exit(brdf_of_frame(), cosine));
+    radiance *= diffuse_exit(brdf_of_frame(), cosine);
+    if (frame.model == METAL) {
+        radiance += lit(triangles[hit.triangle], hit.weights, there, gloss_at(there.uv), -ray.direction).specular;
+    }
+    return radiance * frame.tint * ray.weight;
+}
+
+/// What light that comes straight from the lamps makes of a point, seen from the unit direction `view`.
+fn lit(triangle: Triangle, weights: vec3f, surface: Surface, gloss: vec2f, view: vec3f) -> Shade {
+    read_visibility(triangle, weights, surface);
+    let brdf = Brdf(frame.model, frame.sigma * gloss.x, frame.strength * gloss.y);
+    let terms = view_terms(brdf, surface.normal, view);
+    var sum = add_lobes(surface, brdf, terms, frame.always, 1.0);
+    if (frame.window.y > frame.window.x) {
+        let more = add_lobes(surface, brdf, terms, frame.window, frame.window_weight);
+        sum.specular += more.specular;
+        sum.irradiance += more.irradiance;
+    }
+    // A lobe of the same strength is lower the wider it is.
+    sum.specular *= gloss.y / (gloss.x * gloss.x);
+    return sum;
+}
+
+/// Reads what a point sees of lamps, of groups and of lamps with shadow maps.
+fn read_visibility(triangle: Triangle, weights: vec3f, surface: Surface) {
+    read_lamps(surface.light_uv);
+    soft = soft_at(triangle, weights);
+    mapped = vec4f(1.0);
+    for (var i = 0u; i < MAX_SHADOW_MAPS; i++) {
+        if ((frame.flags & (16u << i)) != 0u) {
+            let lamp = shadows.maps[i];
+            let towards = select(lamp.place, lamp.place - surface.position, lamp.half_tangent > 0.0);
+            if (dot(towards, surface.face_normal) > 0.0) {
+                mapped[i] = shadow_map_visibility(i, surface.position, surface.face_normal);
+            }
+        }
+    }
 }
 
 /// What a lamp's shadow mode shows.
@@ -312,32 +348,13 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
     if (frame.mode == STRENGTH) {
         return vec3f(select(gloss.y / max(frame.strongest, 1e-6), 0.0, frame.model == NO_LOBE));
     }
-    read_lamps(surface.light_uv);
-    mapped = vec4f(1.0);
-    for (var i = 0u; i < MAX_SHADOW_MAPS; i++) {
-        if ((frame.flags & (16u << i)) != 0u) {
-            let lamp = shadows.maps[i];
-            let towards = select(lamp.place, lamp.place - surface.position, lamp.half_tangent > 0.0);
-            if (dot(towards, surface.face_normal) > 0.0) {
-                mapped[i] = shadow_map_visibility(i, surface.position, surface.face_normal);
-            }
-        }
-    }
     if (frame.mode == SHADOW) {
+        read_visibility(triangle, weights, surface);
         return vec3f(shown_visibility());
     }
     let brdf = Brdf(frame.model, frame.sigma * gloss.x, frame.strength * gloss.y);
     let view = normalize(eye() - surface.position);
-    let terms = view_terms(brdf, surface.normal, view);
-    soft = soft_at(triangle, weights);
-    var sum = add_lobes(surface, brdf, terms, frame.always, 1.0);
-    if (frame.window.y > frame.window.x) {
-        let more = add_lobes(surface, brdf, terms, frame.window, frame.window_weight);
-        sum.specular += more.specular;
-        sum.irradiance += more.irradiance;
-    }
-    // A lobe of the same strength is lower the wider it is.
-    sum.specular *= gloss.y / (gloss.x * gloss.x);
+    var sum = lit(triangle, weights, surface, gloss, view);
     let baked = textureSampleLevel(irradiance_texture, linear_sampler, surface.light_uv, 0.0).rgb;
     let irradiance = baked + sum.irradiance + frame.ambient;
     if (frame.mode == IRRADIANCE) {

@@ -1028,17 +1028,14 @@ fn take_solved(
     let relit = interreflection
         .filter(|_| !unchanged)
         .map(|i| i.of_light(&solution.mesh, &shader, atlas, texture));
+    let surroundings =
+        interreflection.map(|around| Surroundings::new(around, atlas, texture, relit));
     let scene = Scene {
         mesh: &solution.mesh,
         occluder: &prepared.occluder,
         brdf: solution.brdf,
         gloss: solution.gloss_map(),
-        surroundings: interreflection.map(|interreflection| Surroundings {
-            interreflection,
-            atlas,
-            texture,
-            relit: relit.as_ref(),
-        }),
+        surroundings: surroundings.as_ref(),
     };
     relight::render(&scene, &shot.camera, &shader, diffuse)
 }

@@ -7,7 +7,7 @@
 //! 1984), solved by Jacobi iteration.
 //!
 //! Lights are only known times K_S (eq. 4), so E must be scaled by K_S too. The paper's model leaves K_S open and then
-//! nothing can be said; in the microfacet model it follows from roughness and Fresnel factor, [`Brdf::specular_scale`].
+//! nothing can be said; in the microfacet models it follows from roughness and Fresnel factor, [`Brdf::specular_scale`].
 //!
 //! E varies slowly. It is gathered at points a hundredth of the object's size apart, each with a fixed set of rays,
 //! and interpolated: over a lattice on every triangle, first, whose values weigh the gather points nearby by distance
@@ -172,9 +172,9 @@ impl Interreflection {
             .hits
             .par_iter()
             .map(|h| {
-                let place = self.lattice.nearest(mesh, h.triangle, h.barycentric);
+                let gather = self.gather_point(mesh, h.triangle, h.barycentric);
                 let albedo = atlas.sample(albedo, h.triangle, h.barycentric);
-                (self.clusters.own[place as usize], albedo * h.weight)
+                (gather as u32, albedo * h.weight)
             })
             .collect();
         let rows: Vec<&[(u32, Vec3)]> = (0..direct.len())
@@ -191,8 +191,18 @@ impl Interreflection {
 
     /// Whether any surface can be seen from near a point of the mesh.
     pub(super) fn is_sheltered(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> bool {
+        self.sheltered[self.gather_point(mesh, triangle, barycentric)]
+    }
+
+    /// Points at which light is gathered.
+    pub(super) fn gather_points(&self) -> &[ShadingPoint] {
+        &self.clusters.gather
+    }
+
+    /// That of these which stands for a point of the mesh.
+    pub(super) fn gather_point(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> usize {
         let place = self.lattice.nearest(mesh, triangle, barycentric);
-        self.sheltered[self.clusters.own[place as usize] as usize]
+        self.clusters.own[place as usize] as usize
     }
 
     fn hits_of(&self, gather: usize) -> &[Hit] {

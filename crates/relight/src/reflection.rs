@@ -1,22 +1,26 @@
-//! The surface mirrored in itself: specular reflection of its own diffuse radiance.
+//! The surface mirrored in itself: specular reflection of its own diffuse radiance, and where it is a metal, which has no other,
+//! of its specular radiance.
 //!
-//! Towards v a point sends R(cos θ_r) · B̄, with B̄ the mean over the lobe of the diffuse radiance that the mirrored
+//! Towards v a point sends R(cos θ_r) · B̄, with B̄ the mean over the lobe of the radiance that the mirrored
 //! directions meet (nothing where they leave the surface) and R the reflectance of the whole lobe. Half vectors are
 //! distributed as the facets that v sees (Heitz 2018): a fixed set is drawn from the lobe's distribution and each
 //! weighted by (v·h)/(n·h), the weights normalised, so that nothing blows up at grazing views. What passes on is then
 //! F(v·h) G₁(l).
 
+use std::sync::OnceLock;
+
 use glam::{Vec2, Vec3};
 
 use super::interreflection::{Interreflection, Relit, exit_cosine};
-use super::shading::ShadingPoint;
+use super::render::Scene;
+use super::shading::{Shader, ShadingPoint};
 use rekindle_base::math::GOLDEN_ANGLE;
 use rekindle_capture::Mesh;
 use rekindle_scene::reflectance::Brdf;
-use rekindle_scene::surface::{Atlas, Occluder};
+use rekindle_scene::surface::Atlas;
 
 /// Half vectors of a lobe.
-const RAYS: usize = 12;
+const RAYS: usize = 16;
 /// Entries of the reflectance table, over the cosine of the view.
 const TABLE: usize = 64;
 
@@ -90,24 +94,59 @@ impl Lobe {
     }
 }
 
-/// What surrounds a point of the surface: the rest of the surface with its diffuse radiance.
-#[derive(Clone, Copy)]
+/// What surrounds a point of the surface: the rest of the surface with its radiance.
 pub struct Surroundings<'a> {
     /// How light passes from surface to surface.
-    pub interreflection: &'a Interreflection,
-    /// Where each triangle lies in the texture.
-    pub atlas: &'a Atlas,
-    /// Diffuse radiance towards normal incidence; where there is new light, the pseudo-albedo.
-    pub texture: &'a [[f32; 3]],
-    /// The new light.
-    pub relit: Option<&'a Relit<'a>>,
+    pub(super) interreflection: &'a Interreflection,
+    atlas: &'a Atlas,
+    texture: &'a [[f32; 3]],
+    relit: Option<Relit<'a>>,
+    /// What the gather points that mirrored rays come near see of each of a shader's groups, in 255ths; looked for once asked.
+    shares: Vec<OnceLock<Box<[u8]>>>,
 }
 
-impl Surroundings<'_> {
+impl<'a> Surroundings<'a> {
+    /// The surface, lying in an atlas, with its diffuse radiance towards normal incidence as texture; where there is new light, with
+    /// its pseudo-albedo. For one shader only.
+    pub fn new(
+        interreflection: &'a Interreflection,
+        atlas: &'a Atlas,
+        texture: &'a [[f32; 3]],
+        relit: Option<Relit<'a>>,
+    ) -> Self {
+        let shares = interreflection.gather_points().iter();
+        Self {
+            interreflection,
+            atlas,
+            texture,
+            relit,
+            shares: shares.map(|_| OnceLock::new()).collect(),
+        }
+    }
+
+    /// Specular radiance that a place of the surface sends in the unit direction `view`, in light that it sees as the gather point
+    /// nearest to it does.
+    fn specular(
+        &self,
+        scene: &Scene,
+        shader: &Shader,
+        (triangle, barycentric): (u32, Vec2),
+        view: Vec3,
+    ) -> Vec3 {
+        let gather = (self.interreflection).gather_point(scene.mesh, triangle, barycentric);
+        let look = |group| {
+            let point = &self.interreflection.gather_points()[gather];
+            (255.0 * shader.seen_share(point, group).unwrap_or(0.0)).round() as u8
+        };
+        let shares = self.shares[gather].get_or_init(|| (0..shader.groups()).map(look).collect());
+        let point = scene.point(triangle, barycentric);
+        shader.specular_of_shares(&point, view, |group| f32::from(shares[group]) / 255.0)
+    }
+
     /// Diffuse radiance of the surface towards normal incidence.
     fn radiance(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> Vec3 {
         let texture = self.atlas.sample(self.texture, triangle, barycentric);
-        match self.relit {
+        match &self.relit {
             None => texture,
             Some(relit) => texture * relit.total.at(mesh, triangle, barycentric),
         }
@@ -115,7 +154,7 @@ impl Surroundings<'_> {
 
     /// Interreflected irradiance under the new light, transmittance inside, K_S-scaled.
     pub(super) fn irradiance(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> Vec3 {
-        self.relit.map_or(Vec3::ZERO, |relit| {
+        self.relit.as_ref().map_or(Vec3::ZERO, |relit| {
             relit.indirect.at(mesh, triangle, barycentric)
         })
     }
@@ -126,15 +165,17 @@ impl Surroundings<'_> {
             .is_sheltered(mesh, triangle, barycentric)
     }
 
-    /// B̄, the mean over the lobe of what is mirrored towards the unit direction `view`.
+    /// B̄, the mean over the lobe of what is mirrored towards the unit direction `view`, times the colour of the surface.
     pub(super) fn mirrored(
         &self,
-        mesh: &Mesh,
-        occluder: &Occluder,
+        scene: &Scene,
+        shader: &Shader,
         point: &ShadingPoint,
         view: Vec3,
     ) -> Vec3 {
+        let Scene { mesh, occluder, .. } = *scene;
         let lobe = &self.interreflection.lobe;
+        let is_metal = !lobe.brdf.model.is_dielectric();
         let origin = occluder.offset_origin(point.position, point.face_normal);
         let mut rays = [(Vec3::ZERO, 0.0); RAYS];
         let (mut count, mut total) = (0, 0.0);
@@ -158,9 +199,17 @@ impl Surroundings<'_> {
             if let Some(cos) = exit_cosine(mesh, hit.triangle, hit.barycentric, light) {
                 sum += self.radiance(mesh, hit.triangle, hit.barycentric)
                     * (weight * lobe.brdf.diffuse_exit(cos));
+                if is_metal {
+                    let place = (hit.triangle, hit.barycentric);
+                    sum += weight * self.specular(scene, shader, place, -light);
+                }
             }
         });
-        if total > 0.0 { sum / total } else { Vec3::ZERO }
+        if total > 0.0 {
+            shader.tint() * sum / total
+        } else {
+            Vec3::ZERO
+        }
     }
 
     /// R, the part of B̄ that is seen at the cosine `cos` between normal and view.
@@ -172,7 +221,10 @@ impl Surroundings<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rekindle_scene::reflectance::SpecularModel;
+    use crate::{LampNodes, Lighting, Visibility};
+    use rekindle_capture::Mesh;
+    use rekindle_scene::reflectance::{Brdf, SpecularModel};
+    use rekindle_scene::surface::Occluder;
 
     /// Fresnel's equations for an index of 1.5, written out for both polarisations.
     fn fresnel(cos: f64) -> f64 {
@@ -206,5 +258,71 @@ mod tests {
                 assert!((0.0..=1.0).contains(&r), "{r} at roughness {sigma}");
             }
         }
+    }
+
+    /// Two plates that meet at a right angle: one lies in the plane y = 0, the other stands in the plane x = 0.
+    fn corner() -> Mesh {
+        let plate = |across: Vec3| [Vec3::ZERO, across, across + 2.0 * Vec3::Z, 2.0 * Vec3::Z];
+        let positions = [plate(2.0 * Vec3::X), plate(2.0 * Vec3::Y)].concat();
+        let normals = [[Vec3::Y; 4], [Vec3::X; 4]].concat();
+        let triangles = vec![[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]];
+        Mesh {
+            positions,
+            normals,
+            triangles,
+            ..Mesh::default()
+        }
+    }
+
+    /// What comes back of a wide light by way of both plates of the corner, per unit of what one plate would show of it.
+    fn twice_over_once(specular_scale: Vec3) -> Vec3 {
+        let brdf = Brdf::new(SpecularModel::Metal, 0.02);
+        let mesh = corner();
+        let occluder = Occluder::new(&mesh);
+        // Over both plates light goes back to where it came from.
+        let view = Vec3::new(0.8, 1.0, 0.1).normalize_or_zero();
+        let light = Vec3::new(view.x, view.y, -view.z);
+        let lighting = Lighting {
+            lamps: vec![LampNodes::disc_of(4000, light, Vec3::ONE, 0.3, None)],
+            remainder: Vec::new(),
+            environment: Vec::new(),
+            ambient: Vec3::ZERO,
+            centre: Vec3::ZERO,
+            radius: None,
+            up: Vec3::Y,
+            specular_scale: specular_scale * brdf.usual_specular_scale(),
+        };
+        let shader = Shader::new(&occluder, Some(brdf), &lighting);
+        let scene = Scene {
+            mesh: &mesh,
+            occluder: &occluder,
+            brdf: Some(brdf),
+            gloss: None,
+            surroundings: None,
+        };
+        let around = Interreflection::new(&mesh, &occluder, Some(brdf)).expect("a metal mirrors");
+        let atlas = Atlas::lattice(&mesh, &[4.0; 4]);
+        let dark = vec![[0.0; 3]; atlas.len()];
+        let surroundings = Surroundings::new(&around, &atlas, &dark, None);
+        let point = ShadingPoint::smooth(Vec3::new(0.4, 0.0, 1.0), Vec3::Y);
+        let twice =
+            surroundings.mirrored(&scene, &shader, &point, view) * surroundings.reflectance(view.y);
+        // One plate alone, turned so that it shows the middle of the light.
+        let facing =
+            ShadingPoint::smooth(Vec3::new(0.0, 0.0, 0.0), (view + light).normalize_or_zero());
+        let seen: Vec<_> = (0..shader.groups()).map(|_| Visibility::Whole).collect();
+        twice / shader.specular(&facing, view, &seen)
+    }
+
+    #[test]
+    fn a_metal_shows_by_way_of_two_plates_what_one_reflects_of_the_other() {
+        let half = twice_over_once(Vec3::ONE);
+        assert!((half / 0.5 - 1.0).abs().max_element() < 0.05, "{half}");
+        // A metal's colour counts once more with each reflection, and no channel reflects more than all.
+        let gold = twice_over_once(Vec3::new(1.5, 1.0, 0.5));
+        let expected = Vec3::new(0.75, 0.5, 0.25);
+        assert!((gold / expected - 1.0).abs().max_element() < 0.05, "{gold}");
+        let too_bright = twice_over_once(Vec3::new(9.0, 1.0, 1.0));
+        assert!((too_bright.x - 1.0).abs() < 0.05, "{too_bright}");
     }
 }

@@ -41,7 +41,7 @@ pub struct Scene<'a> {
     /// How the lobe differs from place to place; `None` where it doesn't.
     pub gloss: Option<GlossMap<'a>>,
     /// The surface as it lights itself, `None` to leave that out.
-    pub surroundings: Option<Surroundings<'a>>,
+    pub surroundings: Option<&'a Surroundings<'a>>,
 }
 
 /// The gloss of a surface's places.
@@ -476,12 +476,7 @@ impl Tile<'_> {
 
     fn cast_mirrored(&self, point: &ShadingPoint) -> Vec3 {
         self.scene.surroundings.map_or(Vec3::ZERO, |s| {
-            s.mirrored(
-                self.scene.mesh,
-                self.scene.occluder,
-                point,
-                self.view(point),
-            )
+            s.mirrored(self.scene, self.shader, point, self.view(point))
         })
     }
 

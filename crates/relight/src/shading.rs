@@ -11,6 +11,7 @@
 //! only where they disagree (the penumbra) every node has its ray. On a grid of neighbouring points even the
 //! probes are cast for every fourth point only; see [`Shader::visibility`].
 
+use std::borrow::Borrow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{Mat2, Vec2, Vec3};
@@ -172,6 +173,8 @@ pub struct Shader<'a> {
     groups: Vec<Group>,
     /// Irradiance by the ambient part.
     ambient: Vec3,
+    /// See [`Brdf::tint`].
+    tint: Vec3,
     support: Support,
     /// Once set, nothing more is computed.
     stop: Option<&'a AtomicBool>,
@@ -433,6 +436,7 @@ impl<'a> Shader<'a> {
             brdf,
             groups,
             ambient: lighting.ambient * ambient_gain(brdf),
+            tint: brdf.map_or(Vec3::ONE, |brdf| brdf.tint(lighting.specular_scale)),
             support: Support::new(brdf),
             stop: None,
         }
@@ -450,6 +454,11 @@ impl<'a> Shader<'a> {
     /// Whether the work is to end.
     pub fn is_stopped(&self) -> bool {
         self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
+    }
+
+    /// The surface's colour where it is a metal; see [`Brdf::tint`].
+    pub(super) fn tint(&self) -> Vec3 {
+        self.tint
     }
 
     /// Number of lamps and patches, so of visibilities a point has.
@@ -700,6 +709,28 @@ impl<'a> Shader<'a> {
 
     /// Specular radiance at a point seen from the unit direction `view`, given its visibilities.
     pub fn specular(&self, point: &ShadingPoint, view: Vec3, visibility: &[Visibility]) -> Vec3 {
+        self.specular_seen(point, view, |group| &visibility[group])
+    }
+
+    /// The same where so much is seen of each group.
+    pub(super) fn specular_of_shares(
+        &self,
+        point: &ShadingPoint,
+        view: Vec3,
+        share: impl Fn(usize) -> f32,
+    ) -> Vec3 {
+        self.specular_seen(point, view, |group| match share(group) {
+            0.0 => Visibility::Hidden,
+            share => Visibility::Fraction(share),
+        })
+    }
+
+    fn specular_seen<V: Borrow<Visibility>>(
+        &self,
+        point: &ShadingPoint,
+        view: Vec3,
+        visibility: impl Fn(usize) -> V,
+    ) -> Vec3 {
         let mut specular = Vec3::ZERO;
         let Some(main) = self.brdf.filter(|_| point.gloss.strength > 0.0) else {
             return specular;
@@ -707,7 +738,9 @@ impl<'a> Shader<'a> {
         let brdf = main.at(point.gloss);
         let support = self.support_at(main, point);
         let terms = brdf.view_terms(point.normal, view);
-        for (group, seen) in self.groups.iter().zip(visibility) {
+        for (index, group) in self.groups.iter().enumerate() {
+            let seen = visibility(index);
+            let seen = seen.borrow();
             if matches!(seen, Visibility::Below | Visibility::Hidden) {
                 continue;
             }

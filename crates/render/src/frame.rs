@@ -42,8 +42,8 @@ pub(super) struct Frame {
     pub rows: [u32; 2],
     pub radius: f32,
     pub strongest: f32,
+    pub tint: [f32; 3],
     pub strength: f32,
-    pub padding: [f32; 3],
 }
 
 /// The diffuse part is the stored texture.

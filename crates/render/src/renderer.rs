@@ -594,6 +594,7 @@ impl Renderer {
         let mut frame = Frame {
             sigma: brdf.map_or(0.0, |b| b.sigma),
             model: SpecularModel::shader_number(brdf.map(|b| b.model)),
+            tint: (brdf.map_or(Vec3::ONE, |b| b.tint(loaded.lighting.specular_scale))).to_array(),
             strength: brdf.map_or(1.0, |b| b.strength),
             mode: request.mode.number(),
             flags: if light.stored { STORED } else { 0 },

@@ -253,12 +253,24 @@ impl Brdf {
     }
 
     /// `K_S` of eq. 4, by which estimated lights are larger than real ones: F(normal incidence)/(8πσ²) in the microfacet
-    /// models, whose lobes are normalised; the paper's model and metals leave it open.
+    /// models, whose lobes are normalised, a metal taken for a usual one; the paper's model leaves it open.
     pub fn specular_scale(&self) -> Option<f32> {
         match self.model {
-            SpecularModel::Paper | SpecularModel::Metal => None,
-            SpecularModel::Beckmann | SpecularModel::Ggx => Some(self.usual_specular_scale()),
+            SpecularModel::Paper => None,
+            SpecularModel::Beckmann | SpecularModel::Ggx | SpecularModel::Metal => {
+                Some(self.usual_specular_scale())
+            }
         }
+    }
+
+    /// What a surface that lights are known times this scale of, `K_S` of each channel, reflects at normal incidence over what this
+    /// lobe does: a metal's colour, held to what no surface exceeds.
+    pub fn tint(&self, specular_scale: Vec3) -> Vec3 {
+        if self.model != SpecularModel::Metal {
+            return Vec3::ONE;
+        }
+        let most = (self.strength * USUAL_METAL).max(f32::MIN_POSITIVE).recip();
+        (specular_scale / self.usual_specular_scale()).clamp(Vec3::ZERO, Vec3::splat(most))
     }
 
     /// The same taken for any model: K_S of a surface that reflects as much at normal incidence as plastic and varnish do, 4 %,
@@ -271,13 +283,16 @@ impl Brdf {
     /// Part of the light from a direction at the cosine `cos_light` that facets seen at the cosine `cos_between` (of
     /// l and h) pass on: F G₁ in absolute terms. Nothing where the paper's model leaves its scale open.
     pub fn facet_reflectance(&self, cos_light: f32, cos_between: f32) -> f32 {
-        match self.model {
-            SpecularModel::Beckmann | SpecularModel::Ggx if cos_light > 0.0 => {
-                let masking = self.model.masking(cos_light, self.sigma).value;
-                (self.strength * fresnel(cos_between)).min(1.0) * masking
-            }
-            _ => 0.0,
+        if cos_light <= 0.0 {
+            return 0.0;
         }
+        let fresnel_factor = match self.model {
+            SpecularModel::Paper => return 0.0,
+            SpecularModel::Beckmann | SpecularModel::Ggx => fresnel(cos_between),
+            SpecularModel::Metal => USUAL_METAL,
+        };
+        let masking = self.model.masking(cos_light, self.sigma).value;
+        (self.strength * fresnel_factor).min(1.0) * masking
     }
 
     /// tan α that a part `u` of the facets, by the area that they project, stay below.

@@ -192,9 +192,16 @@ impl Solution {
     }
 
     /// Radiance to be shown as white: a little above the brightest diffuse parts under the captured lighting, so that all
-    /// pictures of a solution have one exposure and highlights can be told from them.
+    /// pictures of a solution have one exposure and highlights can be told from them. A metal, which has none, counts as if it sent
+    /// what it reflects in all directions alike.
     pub fn white(&self) -> f32 {
-        (1.3 * self.brightest(&self.diffuse)).max(f32::MIN_POSITIVE)
+        let diffuse = self.brightest(&self.diffuse);
+        let metal = self.brdf.filter(|b| b.model == SpecularModel::Metal);
+        let evenly = metal.map_or(0.0, |b| {
+            // F₀ E/π of the light as it is, with E times K_S = F₀/(8πσ²) known.
+            8.0 * b.sigma * b.sigma * self.lighting().flux().element_sum() / 3.0
+        });
+        (1.3 * diffuse.max(evenly)).max(f32::MIN_POSITIVE)
     }
 
     /// The value of a texture that 98 % of its known texels stay below in the mean over channels, 1 where nothing is known.

@@ -27,7 +27,7 @@ use rekindle_scene::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
     rest,
 };
-use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::Shortcuts;
 use rekindle_scene::surface::{
     Atlas, GlossTexture, MinimumTexture, Occluder, ViewSurface, minimum_texture, wanted_density,
@@ -305,20 +305,20 @@ fn textures(
         let mut observer = watcher;
         report(&mut observer, TEXTURE)?;
         let interreflection = Interreflection::new(mesh, occluder, brdf);
-        // What the surface mirrors of itself is small: the first guess at its texture will do.
+        // What a dielectric mirrors of itself is small: the first guess at its texture will do. A metal's is its highlights.
+        let is_metal = brdf.is_some_and(|brdf| brdf.model == SpecularModel::Metal);
+        let guess = match is_metal {
+            true => Cow::Owned(vec![[0.0; 3]; minimum.radiance.len()]),
+            false => Cow::Borrowed(&minimum.radiance),
+        };
+        let around = interreflection.as_ref();
+        let surroundings = around.map(|around| Surroundings::new(around, atlas, &guess, None));
         let scene = Scene {
             mesh,
             occluder,
             brdf,
             gloss: gloss.map(|texture| GlossMap { atlas, texture }),
-            surroundings: interreflection
-                .as_ref()
-                .map(|interreflection| Surroundings {
-                    interreflection,
-                    atlas,
-                    texture: &minimum.radiance,
-                    relit: None,
-                }),
+            surroundings: surroundings.as_ref(),
         };
         let shader = Shader::new(occluder, brdf, light).stopped_by(stop);
         let seen = TriangleShares::new(mesh, atlas, &shader);

@@ -110,20 +110,14 @@ impl TrueSurface {
             .interreflection
             .as_ref()
             .map(|i| i.of_light(&self.mesh, &shader, &self.atlas, &self.texture));
+        let surroundings = (self.interreflection.as_ref())
+            .map(|around| Surroundings::new(around, &self.atlas, &self.texture, relit));
         let scene = Scene {
             mesh: &self.mesh,
             occluder: &self.occluder,
             brdf: Some(self.brdf),
             gloss: None,
-            surroundings: self
-                .interreflection
-                .as_ref()
-                .map(|interreflection| Surroundings {
-                    interreflection,
-                    atlas: &self.atlas,
-                    texture: &self.texture,
-                    relit: relit.as_ref(),
-                }),
+            surroundings: surroundings.as_ref(),
         };
         let diffuse = Diffuse::Relit(&self.atlas, &self.texture);
         cameras

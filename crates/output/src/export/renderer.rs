@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use rekindle_capture::Camera;
 use rekindle_relight::{
-    self as relight, Band, Diffuse, Interreflection, Lighting, Picture, Relit, Scene, Shader, Stop,
+    self as relight, Band, Diffuse, Interreflection, Lighting, Picture, Scene, Shader, Stop,
     Surroundings,
 };
 use rekindle_scene::surface::Occluder;
@@ -22,7 +22,7 @@ pub struct Renderer<'a> {
 pub struct LitScene<'a> {
     renderer: &'a Renderer<'a>,
     shader: Shader<'a>,
-    relit: Option<Relit<'a>>,
+    surroundings: Option<Surroundings<'a>>,
     unchanged: bool,
 }
 
@@ -54,15 +54,19 @@ impl<'a> Renderer<'a> {
         let solution = self.solution;
         let shader = Shader::new(&self.occluder, solution.brdf, lighting);
         let unchanged = *lighting == self.original;
-        let relit = self
-            .interreflection
-            .as_ref()
-            .filter(|_| !unchanged)
-            .map(|i| i.of_light(&solution.mesh, &shader, &solution.atlas, &solution.albedo));
+        let (atlas, albedo) = (&solution.atlas, &solution.albedo);
+        let surroundings = self.interreflection.as_ref().map(|around| {
+            if unchanged {
+                Surroundings::new(around, atlas, &solution.diffuse, None)
+            } else {
+                let relit = around.of_light(&solution.mesh, &shader, atlas, albedo);
+                Surroundings::new(around, atlas, albedo, Some(relit))
+            }
+        });
         LitScene {
             renderer: self,
             shader,
-            relit,
+            surroundings,
             unchanged,
         }
     }
@@ -71,18 +75,12 @@ impl<'a> Renderer<'a> {
 impl LitScene<'_> {
     fn scene(&self) -> Scene<'_> {
         let solution = self.renderer.solution;
-        let interreflection = self.renderer.interreflection.as_ref();
         Scene {
             mesh: &solution.mesh,
             occluder: &self.renderer.occluder,
             brdf: solution.brdf,
             gloss: self.renderer.solution.gloss_map(),
-            surroundings: interreflection.map(|interreflection| Surroundings {
-                interreflection,
-                atlas: &solution.atlas,
-                texture: self.texture(),
-                relit: self.relit.as_ref(),
-            }),
+            surroundings: self.surroundings.as_ref(),
         }
     }
 
