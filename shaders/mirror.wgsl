@@ -91,13 +91,15 @@ fn facet_fresnel(brdf: Brdf, c: f32) -> f32 {
 struct MirrorRay {
     direction: vec3f,
     weight: f32,
+    /// How far its half vector stands for others, as a multiple of the lobe's width.
+    extent: f32,
 }
 
 fn mirror_ray(brdf: Brdf, normal: vec3f, view: vec3f) -> MirrorRay {
     let cos_view = dot(normal, view);
     if (frame.half_vector >= HALF_VECTORS) {
         let light = normal * (2.0 * cos_view) - view;
-        return MirrorRay(light, facet_fresnel(brdf, max(cos_view, 1e-3)) * masking(brdf, max(cos_view, 1e-4)));
+        return MirrorRay(light, facet_fresnel(brdf, max(cos_view, 1e-3)) * masking(brdf, max(cos_view, 1e-4)), 1.0);
     }
     var tangent = view - normal * cos_view;
     if (dot(tangent, tangent) < 1e-12) {
@@ -117,8 +119,11 @@ fn mirror_ray(brdf: Brdf, normal: vec3f, view: vec3f) -> MirrorRay {
     let light = half_vector * (2.0 * between) - view;
     let cos_light = dot(normal, light);
     if (between <= 0.0 || cos_light <= 0.0) {
-        return MirrorRay(light, 0.0);
+        return MirrorRay(light, 0.0, 0.0);
     }
     let passes = facet_fresnel(brdf, between) * masking(brdf, max(cos_light, 1e-4));
-    return MirrorRay(light, passes * between / local.z * f32(HALF_VECTORS) / max(total, 1e-6));
+    // Half the radius of its part of all slopes, of a metal.
+    let above = 1.0 - (f32(frame.half_vector) + 0.5) / f32(HALF_VECTORS);
+    let extent = 1.0 / (sqrt(2.0 * f32(HALF_VECTORS)) * above);
+    return MirrorRay(light, passes * between / local.z * f32(HALF_VECTORS) / max(total, 1e-6), extent);
 }

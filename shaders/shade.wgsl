@@ -264,7 +264,10 @@ fn mirrored(brdf: Brdf, triangle: Triangle, surface: Surface, view: vec3f) -> ve
     }
     radiance *= diffuse_exit(brdf_of_frame(), cosine);
     if (frame.model == METAL) {
-        radiance += lit(triangles[hit.triangle], hit.weights, there, gloss_at(there.uv), -ray.direction).specular;
+        // The ray stands for all in its half vector's extent: a lobe as much wider shows no sparks.
+        var gloss = gloss_at(there.uv);
+        gloss.x = min(length(vec2f(gloss.x, ray.extent * brdf.sigma / frame.sigma)), 1.0 / frame.sigma);
+        radiance += lit(triangles[hit.triangle], hit.weights, there, gloss, -ray.direction).specular;
     }
     return radiance * frame.tint * ray.weight;
 }

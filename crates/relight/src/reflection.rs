@@ -10,6 +10,7 @@
 use std::sync::OnceLock;
 
 use glam::{Vec2, Vec3};
+use smallvec::SmallVec;
 
 use super::interreflection::{Interreflection, Relit, exit_cosine};
 use super::render::Scene;
@@ -19,8 +20,9 @@ use rekindle_capture::Mesh;
 use rekindle_scene::reflectance::Brdf;
 use rekindle_scene::surface::Atlas;
 
-/// Half vectors of a lobe.
+/// Half vectors of a dielectric's lobe, as on the device, and of a metal's, which mirrors highlights.
 const RAYS: usize = 16;
+const METAL_RAYS: usize = 64;
 /// Entries of the reflectance table, over the cosine of the view.
 const TABLE: usize = 64;
 
@@ -29,23 +31,36 @@ pub struct Lobe {
     brdf: Brdf,
     /// Around the normal: towards the view, across, along the normal.
     half_vectors: Vec<Vec3>,
+    /// How far each of them stands for others, as a multiple of σ: half the radius, of a metal, of its part of all slopes.
+    extents: Vec<f32>,
     /// R at the cosines 0 to 1.
     reflectance: Vec<f32>,
 }
 
 impl Lobe {
     pub(super) fn new(brdf: Brdf) -> Self {
-        let half_vectors = (0..RAYS)
+        let rays = if brdf.model.is_dielectric() {
+            RAYS
+        } else {
+            METAL_RAYS
+        };
+        let half_vectors = (0..rays)
             .map(|i| {
-                let u = (i as f32 + 0.5) / RAYS as f32;
+                let u = (i as f32 + 0.5) / rays as f32;
                 let tan = brdf.facet_slope(u);
                 let (sin, cos) = (i as f32 * GOLDEN_ANGLE).sin_cos();
                 Vec3::new(tan * cos, tan * sin, 1.0).normalize_or(Vec3::Z)
             })
             .collect();
+        // With s = u/(1 − u), facets of the slopes between two such s have the area 2πσ² Δs.
+        let extent = |i: usize| {
+            let above = 1.0 - (i as f32 + 0.5) / rays as f32;
+            (2.0 * rays as f32).sqrt().recip() / above
+        };
         let mut lobe = Self {
             brdf,
             half_vectors,
+            extents: (0..rays).map(extent).collect(),
             reflectance: Vec::new(),
         };
         lobe.reflectance = (0..TABLE)
@@ -53,7 +68,7 @@ impl Lobe {
                 let cos = (i as f32 / (TABLE - 1) as f32).max(1e-3);
                 let view = Vec3::new((1.0 - cos * cos).max(0.0).sqrt(), 0.0, cos);
                 let (mut sum, mut total) = (0.0, 0.0);
-                lobe.each(1.0, Vec3::Z, view, |_, weight, passes| {
+                lobe.each((1.0, 0.0), Vec3::Z, view, |_, weight, passes, _| {
                     sum += weight * passes;
                     total += weight;
                 });
@@ -71,17 +86,25 @@ impl Lobe {
         self.reflectance[low] * (1.0 - t) + self.reflectance[low + 1] * t
     }
 
-    /// Calls `add(l, weight, part passed on)` for all mirrored directions l of a view, where the lobe has this multiple of the main
-    /// roughness.
-    fn each(&self, roughness: f32, normal: Vec3, view: Vec3, mut add: impl FnMut(Vec3, f32, f32)) {
+    /// Calls `add(l, weight, part passed on, extent)` for all mirrored directions l of a view, where the lobe has this multiple of
+    /// the main roughness and its half vectors are turned about the normal by this angle; the extent is that of the half vector as
+    /// a multiple of the main roughness.
+    fn each(
+        &self,
+        (roughness, turn): (f32, f32),
+        normal: Vec3,
+        view: Vec3,
+        mut add: impl FnMut(Vec3, f32, f32, f32),
+    ) {
+        let turn = Vec2::from_angle(turn);
         let cos_view = normal.dot(view);
         let tangent = (view - normal * cos_view)
             .try_normalize()
             .unwrap_or_else(|| normal.any_orthonormal_vector());
         let bitangent = normal.cross(tangent);
-        for local in &self.half_vectors {
-            let wider = Vec3::new(roughness * local.x, roughness * local.y, local.z);
-            let local = wider.normalize_or(Vec3::Z);
+        for (local, extent) in self.half_vectors.iter().zip(&self.extents) {
+            let wider = roughness * turn.rotate(local.truncate());
+            let local = wider.extend(local.z).normalize_or(Vec3::Z);
             let half = tangent * local.x + bitangent * local.y + normal * local.z;
             let cos_between = view.dot(half);
             if cos_between <= 0.0 {
@@ -89,7 +112,7 @@ impl Lobe {
             }
             let light = half * (2.0 * cos_between) - view;
             let passes = self.brdf.facet_reflectance(normal.dot(light), cos_between);
-            add(light, cos_between / local.z, passes);
+            add(light, cos_between / local.z, passes, roughness * extent);
         }
     }
 }
@@ -125,13 +148,15 @@ impl<'a> Surroundings<'a> {
     }
 
     /// Specular radiance that a place of the surface sends in the unit direction `view`, in light that it sees as the gather point
-    /// nearest to it does.
+    /// nearest to it does. The ray towards it stands for all in the extent of a half vector, as a multiple of the main roughness:
+    /// the lobe is as much wider, or single rays would meet its peak and show as sparks (as Kaplanyan and Dachsbacher, "Path space
+    /// regularization for holistic and robust light transport", 2013).
     fn specular(
         &self,
         scene: &Scene,
         shader: &Shader,
         (triangle, barycentric): (u32, Vec2),
-        view: Vec3,
+        (view, extent): (Vec3, f32),
     ) -> Vec3 {
         let gather = (self.interreflection).gather_point(scene.mesh, triangle, barycentric);
         let look = |group| {
@@ -139,8 +164,15 @@ impl<'a> Surroundings<'a> {
             (255.0 * shader.seen_share(point, group).unwrap_or(0.0)).round() as u8
         };
         let shares = self.shares[gather].get_or_init(|| (0..shader.groups()).map(look).collect());
-        let point = scene.point(triangle, barycentric);
+        let mut point = scene.point(triangle, barycentric);
+        let widest = self.interreflection.lobe.brdf.sigma.recip();
+        point.gloss.roughness = point.gloss.roughness.hypot(extent).min(widest);
         shader.specular_of_shares(&point, view, |group| f32::from(shares[group]) / 255.0)
+    }
+
+    /// Whether what is mirrored is specular too.
+    pub(super) fn are_metal(&self) -> bool {
+        !self.interreflection.lobe.brdf.model.is_dielectric()
     }
 
     /// Diffuse radiance of the surface towards normal incidence.
@@ -165,43 +197,48 @@ impl<'a> Surroundings<'a> {
             .is_sheltered(mesh, triangle, barycentric)
     }
 
-    /// B̄, the mean over the lobe of what is mirrored towards the unit direction `view`, times the colour of the surface.
+    /// B̄, the mean over the lobe of what is mirrored towards the unit direction `view`, times the colour of the surface. A metal's
+    /// half vectors are turned by the number of the pixel, so that neighbours complete each other.
     pub(super) fn mirrored(
         &self,
         scene: &Scene,
         shader: &Shader,
         point: &ShadingPoint,
-        view: Vec3,
+        (view, pixel): (Vec3, usize),
     ) -> Vec3 {
         let Scene { mesh, occluder, .. } = *scene;
         let lobe = &self.interreflection.lobe;
-        let is_metal = !lobe.brdf.model.is_dielectric();
+        let is_metal = self.are_metal();
+        let turn = if is_metal {
+            pixel as f32 * GOLDEN_ANGLE
+        } else {
+            0.0
+        };
         let origin = occluder.offset_origin(point.position, point.face_normal);
-        let mut rays = [(Vec3::ZERO, 0.0); RAYS];
-        let (mut count, mut total) = (0, 0.0);
+        let mut rays: SmallVec<[(Vec3, f32, f32); METAL_RAYS]> = SmallVec::new();
+        let mut total = 0.0;
         lobe.each(
-            point.gloss.roughness,
+            (point.gloss.roughness, turn),
             point.normal,
             view,
-            |light, weight, passes| {
+            |light, weight, passes, extent| {
                 let weight = weight * passes;
                 total += weight;
                 if weight > 0.0 && light.dot(point.face_normal) > 0.0 {
-                    rays[count] = (light, weight);
-                    count += 1;
+                    rays.push((light, weight, extent));
                 }
             },
         );
         let mut sum = Vec3::ZERO;
-        let rays = rays[..count].iter().map(|ray| (ray, ray.0));
-        occluder.each_hit(origin, rays, |&(light, weight), hit| {
+        let rays = rays.iter().map(|ray| (ray, ray.0));
+        occluder.each_hit(origin, rays, |&(light, weight, extent), hit| {
             let Some(hit) = hit else { return };
             if let Some(cos) = exit_cosine(mesh, hit.triangle, hit.barycentric, light) {
                 sum += self.radiance(mesh, hit.triangle, hit.barycentric)
                     * (weight * lobe.brdf.diffuse_exit(cos));
                 if is_metal {
                     let place = (hit.triangle, hit.barycentric);
-                    sum += weight * self.specular(scene, shader, place, -light);
+                    sum += weight * self.specular(scene, shader, place, (-light, extent));
                 }
             }
         });
@@ -305,8 +342,8 @@ mod tests {
         let dark = vec![[0.0; 3]; atlas.len()];
         let surroundings = Surroundings::new(&around, &atlas, &dark, None);
         let point = ShadingPoint::smooth(Vec3::new(0.4, 0.0, 1.0), Vec3::Y);
-        let twice =
-            surroundings.mirrored(&scene, &shader, &point, view) * surroundings.reflectance(view.y);
+        let twice = surroundings.mirrored(&scene, &shader, &point, (view, 0))
+            * surroundings.reflectance(view.y);
         // One plate alone, turned so that it shows the middle of the light.
         let facing =
             ShadingPoint::smooth(Vec3::new(0.0, 0.0, 0.0), (view + light).normalize_or_zero());

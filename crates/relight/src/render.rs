@@ -419,7 +419,7 @@ impl Tile<'_> {
     }
 
     /// For every pixel's main piece, the radiance of other parts of the surface that its lobe meets. Cast for
-    /// every fourth pixel in each direction and interpolated where the surface between them is smooth.
+    /// every fourth pixel in each direction and interpolated where the surface between them is smooth; but for a metal's pictures.
     fn mirrored(
         &self,
         pieces: &[Pieces],
@@ -439,20 +439,19 @@ impl Tile<'_> {
             } = piece.sample;
             let sheltered = surroundings.is_sheltered(self.scene.mesh, triangle, barycentric);
             Some(if sheltered {
-                self.cast_mirrored(&piece.point)
+                self.cast_mirrored(&piece.point, index)
             } else {
                 Vec3::ZERO
             })
         };
+        // Highlights in what a metal mirrors are narrow, and a picture would show that they were interpolated.
+        let all_cast = surroundings.are_metal() && self.triangles.is_none();
+        let is_coarse = |&i: &usize| all_cast || is_coarse([i % width, i / width], [width, height]);
         let mut all = vec![Vec3::ZERO; mains.len()];
-        for index in
-            (0..mains.len()).filter(|&i| is_coarse([i % width, i / width], [width, height]))
-        {
+        for index in (0..mains.len()).filter(is_coarse) {
             all[index] = cast(index).unwrap_or_default();
         }
-        for index in
-            (0..mains.len()).filter(|&i| !is_coarse([i % width, i / width], [width, height]))
-        {
+        for index in (0..mains.len()).filter(|i| !is_coarse(i)) {
             let corners = corners(
                 mains,
                 [width, height],
@@ -474,9 +473,10 @@ impl Tile<'_> {
         all
     }
 
-    fn cast_mirrored(&self, point: &ShadingPoint) -> Vec3 {
+    /// What a point mirrors of the surface, its rays turned by the number of a pixel.
+    fn cast_mirrored(&self, point: &ShadingPoint, pixel: usize) -> Vec3 {
         self.scene.surroundings.map_or(Vec3::ZERO, |s| {
-            s.mirrored(self.scene, self.shader, point, self.view(point))
+            s.mirrored(self.scene, self.shader, point, (self.view(point), pixel))
         })
     }
 
@@ -491,7 +491,7 @@ impl Tile<'_> {
         let mirrored = if alike {
             mirrored
         } else {
-            self.cast_mirrored(&piece.point)
+            self.cast_mirrored(&piece.point, 0)
         };
         let cos_view = piece.point.normal.dot(self.view(&piece.point));
         mirrored * (surroundings.reflectance(cos_view) * piece.point.gloss.strength)
