@@ -307,9 +307,10 @@ fn textures(
         let interreflection = Interreflection::new(mesh, occluder, brdf);
         // What a dielectric mirrors of itself is small: the first guess at its texture will do. A metal's is its highlights.
         let is_metal = brdf.is_some_and(|brdf| brdf.model == SpecularModel::Metal);
-        let guess = match is_metal {
-            true => Cow::Owned(vec![[0.0; 3]; minimum.radiance.len()]),
-            false => Cow::Borrowed(&minimum.radiance),
+        let guess = if is_metal {
+            Cow::Owned(vec![[0.0; 3]; minimum.radiance.len()])
+        } else {
+            Cow::Borrowed(&minimum.radiance)
         };
         let around = interreflection.as_ref();
         let surroundings = around.map(|around| Surroundings::new(around, atlas, &guess, None));
