@@ -799,18 +799,13 @@ fn quick_lighting(grid: &HemisphereGrid, step: &Step) -> Lighting {
             members[k].push(node);
         }
     }
+    let lamps = members.into_iter();
+    let lamps = lamps.filter_map(|nodes| LampNodes::new(nodes, grid.radius));
     Lighting {
-        lamps: members
-            .into_iter()
-            .filter_map(|nodes| LampNodes::new(nodes, grid.radius))
-            .collect(),
-        remainder: Vec::new(),
-        environment: Vec::new(),
-        ambient: Vec3::ZERO,
         centre: grid.centre,
         radius: grid.radius,
         up: grid.up,
-        specular_scale: Vec3::ONE,
+        ..Lighting::of(lamps.collect())
     }
 }
 

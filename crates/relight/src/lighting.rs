@@ -79,6 +79,20 @@ pub enum ProbeUnits {
 }
 
 impl Lighting {
+    /// These lamps alone, about an object at the origin that stands on y.
+    pub fn of(lamps: Vec<LampNodes>) -> Self {
+        Self {
+            lamps,
+            remainder: Vec::new(),
+            environment: Vec::new(),
+            ambient: Vec3::ZERO,
+            centre: Vec3::ZERO,
+            radius: None,
+            up: Vec3::Y,
+            specular_scale: Vec3::ONE,
+        }
+    }
+
     /// The same place without any light.
     #[must_use]
     pub fn dark(&self) -> Self {

@@ -320,14 +320,8 @@ mod tests {
         let view = Vec3::new(0.8, 1.0, 0.1).normalize_or_zero();
         let light = Vec3::new(view.x, view.y, -view.z);
         let lighting = Lighting {
-            lamps: vec![LampNodes::disc_of(4000, light, Vec3::ONE, 0.3, None)],
-            remainder: Vec::new(),
-            environment: Vec::new(),
-            ambient: Vec3::ZERO,
-            centre: Vec3::ZERO,
-            radius: None,
-            up: Vec3::Y,
             specular_scale: specular_scale * brdf.usual_specular_scale(),
+            ..Lighting::of(vec![LampNodes::disc_of(4000, light, Vec3::ONE, 0.3, None)])
         };
         let shader = Shader::new(&occluder, Some(brdf), &lighting);
         let scene = Scene {

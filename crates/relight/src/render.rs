@@ -419,7 +419,8 @@ impl Tile<'_> {
     }
 
     /// For every pixel's main piece, the radiance of other parts of the surface that its lobe meets. Cast for
-    /// every fourth pixel in each direction and interpolated where the surface between them is smooth; but for a metal's pictures.
+    /// every fourth pixel in each direction and interpolated where the surface between them is smooth, but in pictures of a metal at
+    /// every pixel.
     fn mirrored(
         &self,
         pieces: &[Pieces],

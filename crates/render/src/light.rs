@@ -39,13 +39,7 @@ const SAME_RADIANCE: f32 = 1e-4;
 
 /// Takes the light apart.
 pub(super) fn split(lighting: &Lighting) -> Vec<Part> {
-    let nothing = Lighting {
-        lamps: Vec::new(),
-        remainder: Vec::new(),
-        environment: Vec::new(),
-        ambient: Vec3::ZERO,
-        ..*lighting
-    };
+    let nothing = lighting.dark();
     let mut parts = Vec::with_capacity(lighting.lamps.len() + 3);
     for (i, lamp) in lighting.lamps.iter().enumerate() {
         let mut nodes = lamp.nodes.clone();

@@ -96,21 +96,8 @@ mod tests {
     #[test]
     fn a_lamp_is_seen_where_it_is() {
         let direction = Vec3::new(0.3, 0.5, -0.7).normalize_or_zero();
-        let lighting = Lighting {
-            lamps: vec![LampNodes::disc(
-                direction,
-                Vec3::new(2.0, 1.0, 0.5),
-                0.1,
-                None,
-            )],
-            remainder: Vec::new(),
-            environment: Vec::new(),
-            ambient: Vec3::ZERO,
-            centre: Vec3::ZERO,
-            radius: None,
-            up: Vec3::Y,
-            specular_scale: Vec3::ONE,
-        };
+        let colour = Vec3::new(2.0, 1.0, 0.5);
+        let lighting = Lighting::of(vec![LampNodes::disc(direction, colour, 0.1, None)]);
         let ([width, height], pixels) = light_picture(&lighting, 1.0);
         let at = |d: Vec3| {
             let uv = lat_long_from_direction(d) * Vec2::new(width as f32, height as f32);

@@ -389,16 +389,10 @@ mod tests {
             }
         };
         Lighting {
-            lamps: vec![LampNodes::disc(Vec3::Y, Vec3::ONE, 0.04, None)],
-            remainder: Vec::new(),
             environment: (0..patches)
                 .filter_map(|p| LampNodes::new((0..16).map(|k| node(16 * p + k)).collect(), None))
                 .collect(),
-            ambient: Vec3::ZERO,
-            centre: Vec3::ZERO,
-            radius: None,
-            up: Vec3::Y,
-            specular_scale: Vec3::ONE,
+            ..Lighting::of(vec![LampNodes::disc(Vec3::Y, Vec3::ONE, 0.04, None)])
         }
     }
 

@@ -117,10 +117,7 @@ pub fn highlight_shares(
     for (index, lamp) in lighting.lamps.iter().enumerate() {
         let alone = Lighting {
             lamps: vec![lamp.clone()],
-            remainder: Vec::new(),
-            environment: Vec::new(),
-            ambient: Vec3::ZERO,
-            ..*lighting
+            ..lighting.dark()
         };
         let shader = Shader::new(occluder, brdf, &alone);
         if !(0..shader.groups()).any(|g| shader.is_in_lobe(g, point, view)) {
@@ -235,14 +232,8 @@ mod tests {
             LampNodes::disc(direction, Vec3::ONE, 0.03, None)
         });
         let mut lighting = Lighting {
-            lamps: lamps.to_vec(),
-            remainder: Vec::new(),
-            environment: Vec::new(),
             ambient: Vec3::splat(0.2),
-            centre: Vec3::ZERO,
-            radius: None,
-            up: Vec3::Y,
-            specular_scale: Vec3::ONE,
+            ..Lighting::of(lamps.to_vec())
         };
         let ask = |lighting: &Lighting, n: Vec3| {
             let hit = occluder.hit(eye, (n - eye).normalize_or_zero()).unwrap();

@@ -144,7 +144,7 @@ fn answer(document: &Document, viewport: &Viewport, at: Pos2) -> Option<Answer> 
     let occluder = viewport.occluder()?;
     let shares = highlight_shares(occluder, solution.brdf, &lit.lighting, &point, view);
     let first = shares.first()?;
-    (luminance(first.specular) > VISIBLE * solution.white()).then(|| Answer {
+    (luminance(first.specular) > VISIBLE * viewport.white()).then(|| Answer {
         lamp: lit.lamps[first.lamp],
         share: first.share,
     })

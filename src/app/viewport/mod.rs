@@ -294,6 +294,11 @@ impl Viewport {
         )
     }
 
+    /// The radiance that is white at no stops.
+    pub fn white(&self) -> f32 {
+        self.white
+    }
+
     /// Sets the radiance that is white at no stops.
     pub fn set_white(&mut self, white: f32) {
         self.white = white;

@@ -36,7 +36,7 @@ use super::observations::{Observations, Point, Seen};
 use super::observer::{Stopped, go_on};
 use super::state::ROUGH;
 use super::visibility::{SeenCells, cell_visibility};
-use super::weights::{eliminate, mean_weights, median, residuals};
+use super::weights::{eliminate_all, mean_weights, median, residuals};
 use rekindle_base::math::ranks::signed_ranks;
 use rekindle_base::math::sparse::LowerEntries;
 use rekindle_capture::{Mesh, View};
@@ -783,20 +783,6 @@ fn design<'o>(solver: &Solver<'o>, lamps: &Lamps, observations: &'o Observations
         solver.occluder,
     );
     design
-}
-
-/// Takes each point's best diffuse colour out of its rows.
-fn eliminate_all(
-    observations: &Observations,
-    brdf: &Brdf,
-    weights: &[f32],
-    values: &mut [[f32; 3]],
-) {
-    for point in &observations.points {
-        let rows = point.rows.clone();
-        let cosines = observations.rows[rows.clone()].iter().map(|r| r.cos_view);
-        eliminate(brdf, cosines, &weights[rows.clone()], &mut values[rows]);
-    }
 }
 
 #[cfg(test)]

@@ -72,14 +72,10 @@ impl TrueSurface {
 
     fn lighting(&self, lamps: Vec<LampNodes>, environment: Vec<LampNodes>) -> Lighting {
         Lighting {
-            lamps,
-            remainder: Vec::new(),
             environment,
-            ambient: Vec3::ZERO,
             centre: self.mesh.centre(),
-            radius: None,
-            up: Vec3::Y,
             specular_scale: Vec3::splat(self.strength),
+            ..Lighting::of(lamps)
         }
     }
 

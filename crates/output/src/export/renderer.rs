@@ -55,13 +55,11 @@ impl<'a> Renderer<'a> {
         let shader = Shader::new(&self.occluder, solution.brdf, lighting);
         let unchanged = *lighting == self.original;
         let (atlas, albedo) = (&solution.atlas, &solution.albedo);
+        let texture = if unchanged { &solution.diffuse } else { albedo };
         let surroundings = self.interreflection.as_ref().map(|around| {
-            if unchanged {
-                Surroundings::new(around, atlas, &solution.diffuse, None)
-            } else {
-                let relit = around.of_light(&solution.mesh, &shader, atlas, albedo);
-                Surroundings::new(around, atlas, albedo, Some(relit))
-            }
+            let relit =
+                (!unchanged).then(|| around.of_light(&solution.mesh, &shader, atlas, albedo));
+            Surroundings::new(around, atlas, texture, relit)
         });
         LitScene {
             renderer: self,
