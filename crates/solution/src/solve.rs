@@ -15,10 +15,12 @@ use rekindle_base::math::rounding::round_to_halves;
 use rekindle_capture::{Camera, Capture, Mesh, View};
 use rekindle_estimate::estimate::{
     Diagnostics, Estimate, EstimateInput, EstimateParams, GivenLight, Interim, Iteration, Observer,
-    Stopped, estimate, estimate_under, watched,
+    Stopped, bears_out, estimate, estimate_under, watched,
 };
 use rekindle_estimate::preflight::misplacements;
-use rekindle_estimate::registration::{Correction, corrected, describe, register, within_outlines};
+use rekindle_estimate::registration::{
+    Correction, Registration, corrected, describe, register, within_outlines,
+};
 use rekindle_relight::{
     Albedo, Ambient, DiffuseTexture, GlossMap, Interreflection, Lighting, Scene, Shader,
     Surroundings, TriangleShares, ViewFit, reconstruct, separate,
@@ -46,6 +48,7 @@ const PICTURE_SIDE: u32 = 256;
 
 /// Parts of a solve, with the share of the whole that is done when each begins.
 const SURFACE: (&str, f32) = ("finding what each view sees", 0.02);
+const EXPOSURES: (&str, f32) = ("comparing exposures", 0.05);
 const HEMISPHERES: (&str, f32) = ("collecting highlights on the hemisphere", 0.10);
 const ESTIMATE: (&str, f32) = ("estimating roughness and lights", 0.15);
 const TEXTURE: (&str, f32) = ("reconstructing the texture", 0.70);
@@ -130,12 +133,12 @@ pub fn solve_under(
     let given = stated;
     let (stated, outlined) = within_outlines(given, &measured.surfaces);
     let stated = stated.as_ref();
+    let grid = hemisphere(stated, options, light);
     let (mut capture, mut corrections) = if options.estimate.as_stated {
         (Cow::Borrowed(stated), Vec::new())
     } else {
-        measured.registered(stated, observer)?
+        measured.registered(stated, (&grid, &options.estimate), observer)?
     };
-    let grid = hemisphere(stated, options, light);
     let misplaced = misplacements(
         &capture.views,
         &measured.surfaces,
@@ -383,14 +386,16 @@ impl Measured {
     fn registered<'c>(
         &mut self,
         stated: &'c Capture,
+        (grid, params): (&HemisphereGrid, &EstimateParams),
         observer: &mut dyn Observer,
     ) -> Result<(Cow<'c, Capture>, Vec<Correction>), Stopped> {
         let found = register(&stated.mesh, &stated.views, &self.surfaces, &self.occluder);
-        if found.iter().all(|c| *c == Correction::default()) {
-            return Ok((Cow::Borrowed(stated), Vec::new()));
-        }
-        let capture = corrected(stated, &found);
-        if found.iter().any(Correction::turns) {
+        let Registration {
+            mut corrections,
+            is_doubted,
+        } = found;
+        let mut capture = corrected(stated, &corrections);
+        if corrections.iter().any(Correction::turns) {
             self.surfaces = see(
                 &stated.mesh,
                 &capture.views,
@@ -399,7 +404,24 @@ impl Measured {
                 SURFACE,
             )?;
         }
-        Ok((capture, found))
+        if is_doubted {
+            let of_cameras: Vec<Correction> = corrections.iter().map(|c| c.of_camera()).collect();
+            let as_exposed = corrected(stated, &of_cameras);
+            report(observer, EXPOSURES)?;
+            let [evened, stated] = [&capture, &as_exposed].map(|capture| EstimateInput {
+                capture,
+                surfaces: &self.surfaces,
+                occluder: &self.occluder,
+                grid,
+            });
+            if !bears_out(&evened, &stated, params, observer)? {
+                (capture, corrections) = (as_exposed, of_cameras);
+            }
+        }
+        if corrections.iter().all(|c| *c == Correction::default()) {
+            corrections.clear();
+        }
+        Ok((capture, corrections))
     }
 }
 

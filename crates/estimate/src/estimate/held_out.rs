@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::cells::Cell;
 use super::design::Design;
 use super::fast::Solver;
-use super::observations::Observations;
+use super::observations::{Observations, Row};
 use super::state::{Precision, ROUGH, State};
 use super::weights::{Residuals, dark_residuals, deviation, initial_weights, magnitude};
 use rekindle_base::math::ranks::{SURE, signed_ranks, weighted_signed_ranks};
@@ -28,7 +28,7 @@ const PRICES: [f64; 4] = [16.0, 8.0, 4.0, 2.0];
 /// Standard deviations of noise by which explanations differ at a point that can tell between them.
 const TELLING: f64 = 1.0;
 
-/// What explanations leave at a point in the views that had no say, in standard deviations of noise, summed over its rows.
+/// What explanations leave at a point in the views that had no say, in some unit of each row, summed over its rows.
 #[derive(Clone, Copy, Default)]
 pub struct Left {
     /// By diffuse colours alone.
@@ -61,19 +61,34 @@ fn is_less(values: impl Iterator<Item = (f64, f64, f64)>) -> f64 {
     weighted_signed_ranks(&column(|v| v.0), &column(|v| v.1), &column(|v| v.2))
 }
 
-/// What the lobe of a state on its cells leaves at each of many points in views that had no say, at the price of light that leaves
-/// least.
+/// What the lobe of a state on its cells leaves at each of many points in views that had no say, in standard deviations of noise, at
+/// the price of light that leaves least.
 pub fn left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<Left> {
+    left_out_in(solver, fit, |design| in_noise(design, common_noise(design)))
+}
+
+/// The same with gray lights, as parts of the mean radiance of each point: so it means the same where photographs differ by factors.
+pub fn relatively_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<f64> {
+    let left = left_out_in(solver, fit, in_radiance);
+    left.iter().map(|left| left.lit).collect()
+}
+
+/// The same in units that some rows have.
+fn left_out_in(
+    solver: &Solver<'_>,
+    fit: &State<'_>,
+    units: impl Fn(&Design<'_>) -> Vec<f32>,
+) -> Vec<Left> {
     let turns = solver.seen.views.len().min(MOST_TURNS);
     let points = solver.colours(POINTS).to_gray();
     // What the object mirrors of itself is no light: it is where none comes past it.
     let design = solver.shadowed_design(&points, &fit.cells, &fit.brdf);
-    let noise = common_noise(&design);
+    let units = units(&design);
     let of_turns: Vec<Vec<Vec<Left>>> = (0..turns)
         .into_par_iter()
         .map(|turn| {
             let is_out = |view| view % turns == turn;
-            left_in(&design, &fit.cells, fit.brdf, noise, &PRICES, is_out)
+            left_in(&design, &fit.cells, fit.brdf, &units, &PRICES, is_out)
         })
         .collect();
     let of_price = |price: usize| -> Vec<Left> {
@@ -93,12 +108,12 @@ pub fn left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<Left> {
 }
 
 /// What is left at each point of a design in the views that `is_out` leaves out, with the lights that the other views say on some
-/// cells, for each of some prices of light; see [`common_noise`].
+/// cells, for each of some prices of light; in `units`, one a row.
 pub fn left_in(
     design: &Design<'_>,
     cells: &[Cell],
     brdf: Brdf,
-    noise: f32,
+    units: &[f32],
     prices: &[f64],
     is_out: impl Fn(usize) -> bool,
 ) -> Vec<Vec<Left>> {
@@ -119,7 +134,7 @@ pub fn left_in(
             ..ROUGH
         });
         judged.light_by(&fitted.radiance);
-        left_by(&judged, &dark, noise, &is_out)
+        left_by(&judged, &dark, units, &is_out)
     };
     prices.iter().map(of_price).collect()
 }
@@ -132,11 +147,30 @@ pub fn common_noise(design: &Design<'_>) -> f32 {
     dark.noise.max(f32::MIN_POSITIVE)
 }
 
+/// Standard deviations of the rows of a design, with noise of that size.
+pub fn in_noise(design: &Design<'_>, noise: f32) -> Vec<f32> {
+    let rows = design.observations.rows.iter();
+    rows.map(|row| deviation(noise, row.detail)).collect()
+}
+
+/// Mean radiance of the point that each row of a design is of.
+fn in_radiance(design: &Design<'_>) -> Vec<f32> {
+    let Observations { points, rows, .. } = design.observations;
+    let mean = |own: &[Row]| {
+        let sum: f32 = own.iter().map(|row| magnitude(row.radiance)).sum();
+        (sum / own.len() as f32).max(f32::MIN_POSITIVE)
+    };
+    let of_points = points.iter().map(|point| &rows[point.rows.clone()]);
+    of_points
+        .flat_map(|own| std::iter::repeat_n(mean(own), own.len()))
+        .collect()
+}
+
 /// What lights that others have said leave at each point in the views that `is_out` says.
 fn left_by(
     judged: &State<'_>,
     dark: &Residuals,
-    noise: f32,
+    units: &[f32],
     is_out: impl Fn(usize) -> bool,
 ) -> Vec<Left> {
     let Observations { points, rows, .. } = judged.design.observations;
@@ -148,11 +182,11 @@ fn left_by(
             return left;
         }
         for k in out {
-            let in_noise = |value| f64::from(magnitude(value) / deviation(noise, rows[k].detail));
+            let in_units = |value| f64::from(magnitude(value) / units[k]);
             let (by_dark, by_lit) = (dark.values[k], judged.residuals.values[k]);
-            left.dark += in_noise(by_dark);
-            left.lit += in_noise(by_lit);
-            left.shown += in_noise(std::array::from_fn(|c| by_dark[c] - by_lit[c]));
+            left.dark += in_units(by_dark);
+            left.lit += in_units(by_lit);
+            left.shown += in_units(std::array::from_fn(|c| by_dark[c] - by_lit[c]));
         }
         left
     };

@@ -45,6 +45,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::registration;
+use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_capture::{Capture, View};
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
@@ -55,6 +56,7 @@ use alternating::{Order, Terms};
 use cells::Pyramid;
 use course::{Ending, Outcome, Rules};
 use fast::{Fit, Solver, Watch};
+use held_out::relatively_left_out;
 pub use known_light::{GivenLight, UnderGivenLight, estimate_under};
 use observer::go_on;
 pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
@@ -209,6 +211,49 @@ pub fn estimate(
         }
         Ok(result)
     })
+}
+
+/// Whether lights found in views as `evened` has them predict views left out better, beyond chance, than lights found in them as
+/// `stated` has them: what a polished surface mirrors differs from view to view as if these were exposed differently.
+pub fn bears_out(
+    evened: &EstimateInput<'_>,
+    stated: &EstimateInput<'_>,
+    params: &EstimateParams,
+    observer: &mut dyn Observer,
+) -> Result<bool, Stopped> {
+    watched(observer, |watcher| {
+        let mut left = [Vec::new(), Vec::new()];
+        for (left, input) in left.iter_mut().zip([stated, evened]) {
+            *left = match Reduced::of(input) {
+                Some(reduced) => left_of_views(&reduced.input(input), params, watcher)?,
+                None => left_of_views(input, params, watcher)?,
+            };
+        }
+        Ok(signed_ranks(&left[0], &left[1]) > SURE)
+    })
+}
+
+/// What the lights of the other views leave of each view, at each of many points and as a part of its radiance.
+fn left_of_views(
+    input: &EstimateInput<'_>,
+    params: &EstimateParams,
+    watcher: &Watcher<'_>,
+) -> Result<Vec<f64>, Stopped> {
+    let stop = watcher.stop();
+    let pyramid = Pyramid::new(input.grid, fast::COARSEST);
+    let (shortcuts, workspace) = (Shortcuts::without(params.avoided), Workspace::new());
+    let with = (&shortcuts, &workspace);
+    let solver = Solver::new(input, params.sigma, &pyramid, with, Instant::now(), stop);
+    let mut watch = Watch {
+        iterations: &mut Vec::new(),
+        observer: &mut Unobserved,
+    };
+    let (fit, _) = course::choose(&solver, params.specular, &SpecularModel::ALL, &mut watch)?;
+    let left = relatively_left_out(&solver, &fit.state);
+    if stop.load(Ordering::Relaxed) {
+        return Err(Stopped);
+    }
+    Ok(left)
 }
 
 /// Pixels of the object in the largest of the views from which on these are looked at in fewer: lights of pictures with 0.1 to 12

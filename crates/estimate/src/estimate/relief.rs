@@ -31,7 +31,7 @@ use super::cells::{Cell, CellGeometry};
 use super::course::choose;
 use super::design::Design;
 use super::fast::{CoarseFit, Solver, Watch};
-use super::held_out::{CHANCE, common_noise, left_in};
+use super::held_out::{CHANCE, common_noise, in_noise, left_in};
 use super::observations::{Observations, Point, Seen};
 use super::observer::{Stopped, go_on};
 use super::state::ROUGH;
@@ -660,7 +660,7 @@ impl Relief {
                 sigma,
                 ..lamps.brdf
             };
-            let left = left_in(on, &around, brdf, noise, &[0.0], &is_out);
+            let left = left_in(on, &around, brdf, &in_noise(on, noise), &[0.0], &is_out);
             left.iter().flatten().map(|left| left.lit).collect()
         };
         let refined = left(&present, lamps.brdf.sigma);

@@ -11,10 +11,13 @@ use tempfile::TempDir;
 
 use super::*;
 use crate::bench::{FoundLamp, Measures, Truth};
-use rekindle_capture::{Capture, Mesh, Origin, read_cameras, read_covered};
-use rekindle_estimate::estimate::{EstimateParams, Unobserved};
+use rekindle_capture::{Capture, Mesh, Origin, View, read_cameras, read_covered};
+use rekindle_estimate::estimate::{EstimateInput, EstimateParams, Unobserved, bears_out};
 use rekindle_estimate::preflight::{self, Severity};
+use rekindle_estimate::registration::evened;
+use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::SpecularModel;
+use rekindle_scene::surface::{Occluder, ViewSurface};
 use rekindle_solution::{Solution, SolveOptions, solve};
 
 /// A ball under two lamps, small enough to be made in no time.
@@ -512,4 +515,38 @@ fn two_lamps_nearer_than_the_lobe_is_wide_are_no_wide_lamp() {
     let radii = lamps_found(2, 12.0, 2.0);
     assert_eq!(radii.len(), 2, "{radii:?}");
     assert!(radii.iter().all(|&r| r < 6.0), "{radii:?}");
+}
+
+#[test]
+fn exposures_are_evened_out_where_lights_bear_it_out_and_not_where_a_metal_only_mirrors_differently()
+ {
+    let folder = made(|recipe| {
+        recipe.object = Object::Torus;
+        recipe.material = Material::metal(0.08, 0.4);
+        recipe.views.count = 5;
+        recipe.views.size = [160, 120];
+    });
+    let capture = load(&folder);
+    let factors = [1.5, 0.8, 1.0, 0.6, 1.3];
+    let other = evened(&capture, &factors);
+    let occluder = Occluder::new(&capture.mesh);
+    let see = |view: &View| ViewSurface::new(&capture.mesh, &occluder, &view.camera);
+    let surfaces: Vec<ViewSurface> = capture.views.iter().map(see).collect();
+    let grid = HemisphereGrid::new(
+        22,
+        capture.light_hemisphere.up.as_vec3(),
+        None,
+        capture.mesh.centre(),
+    );
+    let input = |capture| EstimateInput {
+        capture,
+        surfaces: &surfaces,
+        occluder: &occluder,
+        grid: &grid,
+    };
+    let [sound, other] = [&capture, other.as_ref()].map(input);
+    let params = EstimateParams::default();
+    assert!(bears_out(&sound, &other, &params, &mut Unobserved).unwrap());
+    assert!(!bears_out(&other, &sound, &params, &mut Unobserved).unwrap());
+    assert!(!bears_out(&sound, &sound, &params, &mut Unobserved).unwrap());
 }
