@@ -1029,7 +1029,7 @@ fn take_solved(
         .filter(|_| !unchanged)
         .map(|i| i.of_light(&solution.mesh, &shader, atlas, texture));
     let surroundings =
-        interreflection.map(|around| Surroundings::new(around, atlas, texture, relit));
+        interreflection.map(|around| Surroundings::new(around, Some((atlas, texture)), relit));
     let scene = Scene {
         mesh: &solution.mesh,
         occluder: &prepared.occluder,

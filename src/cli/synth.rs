@@ -63,7 +63,7 @@ struct SurfaceArgs {
     /// index 1.5 [default: 1.5]
     #[arg(long, value_parser = refractive_index)]
     ior: Option<f32>,
-    /// Let the surface light itself (microfacets of index 1.5 only: the paper's model has no absolute scale)
+    /// Let the surface light itself (microfacets of index 1.5 and metals: the paper's model has no absolute scale)
     #[arg(long)]
     interreflection: bool,
 }
@@ -399,9 +399,11 @@ impl SurfaceArgs {
                 "--ks is for --model paper or metal; a dielectric lobe's strength follows from --ior"
             );
         }
-        if self.interreflection && (open || self.ior.is_some_and(|ior| ior != 1.5)) {
+        let is_paper = matches!(self.model, ModelArg::Paper);
+        if self.interreflection && (is_paper || self.ior.is_some_and(|ior| ior != 1.5)) {
             bail!(
-                "--interreflection needs --model beckmann or ggx and the index of refraction 1.5, for which it is modelled"
+                "--interreflection needs --model beckmann or ggx and the index of refraction 1.5, or --model metal, for which it is \
+                 modelled"
             );
         }
         let dielectric = |model| Material::dielectric(model, self.sigma, self.ior.unwrap_or(1.5));

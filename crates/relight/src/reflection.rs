@@ -121,27 +121,24 @@ impl Lobe {
 pub struct Surroundings<'a> {
     /// How light passes from surface to surface.
     pub(super) interreflection: &'a Interreflection,
-    atlas: &'a Atlas,
-    texture: &'a [[f32; 3]],
+    diffuse: Option<(&'a Atlas, &'a [[f32; 3]])>,
     relit: Option<Relit<'a>>,
     /// What the gather points that mirrored rays come near see of each of a shader's groups, in 255ths; looked for once asked.
     shares: Vec<OnceLock<Box<[u8]>>>,
 }
 
 impl<'a> Surroundings<'a> {
-    /// The surface, lying in an atlas, with its diffuse radiance towards normal incidence as texture; where there is new light, with
-    /// its pseudo-albedo. For one shader only.
+    /// The surface with its diffuse radiance towards normal incidence as a texture on an atlas, where it has any; where there is new
+    /// light, with its pseudo-albedo. For one shader only.
     pub fn new(
         interreflection: &'a Interreflection,
-        atlas: &'a Atlas,
-        texture: &'a [[f32; 3]],
+        diffuse: Option<(&'a Atlas, &'a [[f32; 3]])>,
         relit: Option<Relit<'a>>,
     ) -> Self {
         let shares = interreflection.gather_points().iter();
         Self {
             interreflection,
-            atlas,
-            texture,
+            diffuse,
             relit,
             shares: shares.map(|_| OnceLock::new()).collect(),
         }
@@ -177,7 +174,10 @@ impl<'a> Surroundings<'a> {
 
     /// Diffuse radiance of the surface towards normal incidence.
     fn radiance(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> Vec3 {
-        let texture = self.atlas.sample(self.texture, triangle, barycentric);
+        let Some((atlas, texture)) = self.diffuse else {
+            return Vec3::ZERO;
+        };
+        let texture = atlas.sample(texture, triangle, barycentric);
         match &self.relit {
             None => texture,
             Some(relit) => texture * relit.total.at(mesh, triangle, barycentric),
@@ -247,6 +247,24 @@ impl<'a> Surroundings<'a> {
         } else {
             Vec3::ZERO
         }
+    }
+
+    /// What a place of the surface mirrors of the rest of it in the unit direction `view`, RGB; places with other numbers are looked
+    /// at by other rays.
+    pub fn reflected(
+        &self,
+        scene: &Scene,
+        shader: &Shader,
+        (triangle, barycentric): (u32, Vec2),
+        (view, number): (Vec3, usize),
+    ) -> Vec3 {
+        if !self.is_sheltered(scene.mesh, triangle, barycentric) {
+            return Vec3::ZERO;
+        }
+        let point = scene.point(triangle, barycentric);
+        let cos_view = point.normal.dot(view);
+        let part = self.reflectance(cos_view) * point.gloss.strength;
+        part * self.mirrored(scene, shader, &point, (view, number))
     }
 
     /// R, the part of B̄ that is seen at the cosine `cos` between normal and view.
@@ -332,9 +350,7 @@ mod tests {
             surroundings: None,
         };
         let around = Interreflection::new(&mesh, &occluder, Some(brdf)).expect("a metal mirrors");
-        let atlas = Atlas::lattice(&mesh, &[4.0; 4]);
-        let dark = vec![[0.0; 3]; atlas.len()];
-        let surroundings = Surroundings::new(&around, &atlas, &dark, None);
+        let surroundings = Surroundings::new(&around, None, None);
         let point = ShadingPoint::smooth(Vec3::new(0.4, 0.0, 1.0), Vec3::Y);
         let twice = surroundings.mirrored(&scene, &shader, &point, (view, 0))
             * surroundings.reflectance(view.y);

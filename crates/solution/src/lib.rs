@@ -32,6 +32,7 @@ mod format;
 mod known_light;
 mod materials;
 mod mesh_file;
+mod mirrored;
 mod origin;
 mod placed;
 mod solve;

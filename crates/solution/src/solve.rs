@@ -7,6 +7,7 @@ use std::time::Instant;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::mirrored::without_mirrored;
 use super::{
     Fit, HemispherePicture, KnownLight, LightProbe, Skipped, Solution, SolutionLamp, lighting,
     origin,
@@ -156,21 +157,41 @@ pub fn solve_under(
         surfaces: &measured.surfaces,
         occluder: &measured.occluder,
         grid: &grid,
+        first: None,
     };
-    let (found, known_light) = found(&input, &options.estimate, light, &mut Part { observer })?;
+    let (mut found, known_light) = found(&input, &options.estimate, light, &mut Part { observer })?;
     if !found.exposures.is_empty() {
         corrections = with_exposures(corrections, &found.exposures);
         capture = corrected(stated, &corrections);
     }
-    let mut mesh = &stated.mesh;
     if let Some(refined) = &found.refined {
-        mesh = &refined.mesh;
+        let mesh = &refined.mesh;
         measured = Measured::new(mesh, &capture.views, observer, TEXTURE)?;
         minimum = minimum_texture(mesh, &measured.atlas, &capture.views, &measured.surfaces);
+        capture.to_mut().mesh = mesh.clone();
+    }
+    let mesh = &capture.mesh;
+    let mut lamps = name_lamps(&found, known_light.is_some());
+    if light.is_none() {
+        let lobe = (found.brdf, None);
+        let lit = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, lobe);
+        let input = EstimateInput {
+            capture: &capture,
+            surfaces: &measured.surfaces,
+            occluder: &measured.occluder,
+            grid: &grid,
+            first: None,
+        };
+        found = without_mirrored(
+            &input,
+            &options.estimate,
+            (found, &lit),
+            &mut Part { observer },
+        )?;
+        lamps = name_lamps(&found, false);
     }
     clock.lap("estimate");
 
-    let lamps = name_lamps(&found, known_light.is_some());
     let lobe = (found.brdf, known_light.as_ref());
     let lit = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, lobe);
     let shortcuts = Shortcuts::without(options.estimate.avoided);
@@ -310,13 +331,9 @@ fn textures(
         let interreflection = Interreflection::new(mesh, occluder, brdf);
         // What a dielectric mirrors of itself is small: the first guess at its texture will do. A metal's is its highlights.
         let is_metal = brdf.is_some_and(|brdf| brdf.model == SpecularModel::Metal);
-        let guess = if is_metal {
-            Cow::Owned(vec![[0.0; 3]; minimum.radiance.len()])
-        } else {
-            Cow::Borrowed(&minimum.radiance)
-        };
+        let guess = (!is_metal).then_some((atlas, &minimum.radiance[..]));
         let around = interreflection.as_ref();
-        let surroundings = around.map(|around| Surroundings::new(around, atlas, &guess, None));
+        let surroundings = around.map(|around| Surroundings::new(around, guess, None));
         let scene = Scene {
             mesh,
             occluder,
@@ -413,6 +430,7 @@ impl Measured {
                 surfaces: &self.surfaces,
                 occluder: &self.occluder,
                 grid,
+                first: None,
             });
             if !bears_out(&evened, &stated, params, observer)? {
                 (capture, corrections) = (as_exposed, of_cameras);

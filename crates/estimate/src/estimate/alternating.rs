@@ -557,6 +557,7 @@ mod tests {
             surfaces: &surfaces,
             occluder: &occluder,
             grid: &grid,
+            first: None,
         };
         for method in [Method::Amuh, Method::Plain] {
             let params = EstimateParams {

@@ -80,7 +80,8 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
         {
             return Ok(Outcome::Exposures(factors));
         }
-        if (!shown || diagnose::blames_normals(&coarse.state))
+        if solver.first.is_none()
+            && (!shown || diagnose::blames_normals(&coarse.state))
             && let Some(ending) = on_refined(solver, &coarse, rules.choice, watch)?
         {
             return Ok(Outcome::Found(Box::new(ending)));
@@ -258,7 +259,10 @@ fn end(
             None => &coarse.state,
         };
         let fit = finish(solver, start, watch)?;
-        let is_looked_for = !watch.observer.enough() && diagnose::is_middling(&fit.misfit);
+        // What a metal mirrors of itself is a cause that a second estimate takes away.
+        let is_known = fit.brdf.model == SpecularModel::Metal && solver.first.is_none();
+        let is_middling = !is_known && diagnose::is_middling(&fit.misfit);
+        let is_looked_for = is_middling && !watch.observer.enough();
         let suspicion = if is_looked_for {
             solver.suspicion(&coarse.state)?
         } else {
@@ -390,7 +394,9 @@ pub fn choose<'s>(
     watch: &mut Watch<'_>,
 ) -> Result<(CoarseFit<'s>, String), Stopped> {
     if let SpecularChoice::Model(model) = choice {
-        let mut fit = solver.compare_sigmas(model, None, watch)?;
+        let first = solver.first.and_then(|first| first.brdf);
+        let near = first.map(|brdf| brdf.sigma);
+        let mut fit = solver.compare_sigmas(model, near, watch)?;
         solver.improve_coarse(&mut fit, watch)?;
         return Ok((fit, "it was asked for".to_owned()));
     }

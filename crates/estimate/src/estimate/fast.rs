@@ -14,7 +14,6 @@ use std::time::Instant;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::EstimateInput;
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
 use super::gloss;
@@ -30,6 +29,7 @@ use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
 use super::support::{drop_satellites, drop_unsupported, drop_unsupported_in_the_end};
 use super::visibility::{SeenCells, cell_visibility};
 use super::workspace::Workspace;
+use super::{Estimate, EstimateInput};
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::{Shortcut, Shortcuts};
@@ -146,6 +146,8 @@ pub struct Solver<'a> {
     pub workspace: &'a Workspace,
     /// σ where it is stated, radians.
     pub sigma: Option<f32>,
+    /// What a first estimate has found.
+    pub first: Option<&'a Estimate>,
     /// Set once the observer wants no more.
     pub stop: &'a AtomicBool,
 }
@@ -207,6 +209,7 @@ impl<'a> Solver<'a> {
             views: &input.capture.views,
             surfaces: input.surfaces,
             parts: None,
+            mirrored: input.first.map(|first| first.mirrored),
         };
         Self {
             seen,
@@ -219,6 +222,7 @@ impl<'a> Solver<'a> {
             shortcuts,
             workspace,
             sigma,
+            first: input.first.map(|first| first.estimate),
             stop,
         }
     }
@@ -384,7 +388,9 @@ impl Solver<'_> {
         rounds: usize,
         watch: &mut Watch<'_>,
     ) -> Result<Fit, Stopped> {
-        let found = if rounds > 0 {
+        // What a surface mirrors of itself makes parts look glossier, not fewer of them.
+        let is_even = self.first.is_some_and(|first| first.parts.is_none());
+        let found = if rounds > 0 && !is_even {
             self.gloss_parts(&state, [gloss::WORTH])
         } else {
             None

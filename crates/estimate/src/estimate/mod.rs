@@ -39,7 +39,7 @@ pub mod workspace;
 mod tests;
 
 use std::sync::atomic::Ordering;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -58,6 +58,7 @@ use course::{Ending, Outcome, Rules};
 use fast::{Fit, Solver, Watch};
 use held_out::relatively_left_out;
 pub use known_light::{GivenLight, UnderGivenLight, estimate_under};
+pub use observations::Mirrored;
 use observer::go_on;
 pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 pub use observer::{Watcher, watched};
@@ -117,6 +118,17 @@ pub struct EstimateInput<'a> {
     pub occluder: &'a Occluder,
     /// Nodes on which the lights are sought first, above the horizon.
     pub grid: &'a HemisphereGrid,
+    /// What a first estimate has found of it.
+    pub first: Option<First<'a>>,
+}
+
+/// A first estimate of a surface that mirrors itself, to go on from.
+#[derive(Clone, Copy)]
+pub struct First<'a> {
+    /// Its steps, and its lobe, whose form is kept.
+    pub estimate: &'a Estimate,
+    /// What the surface mirrors of itself in the light that was found, which was taken for direct light.
+    pub mirrored: Mirrored<'a>,
 }
 
 /// What can be said of an estimate's worth.
@@ -194,15 +206,10 @@ pub fn estimate(
 ) -> Result<Estimate, Stopped> {
     watched(observer, |watcher| {
         let shortcuts = Shortcuts::without(params.avoided);
+        let start = input.first.map_or_else(Start::default, Start::after);
         let mut result = match Reduced::of(input) {
-            Some(reduced) => run(
-                &reduced.input(input),
-                params,
-                &shortcuts,
-                watcher,
-                Start::default(),
-            ),
-            None => run(input, params, &shortcuts, watcher, Start::default()),
+            Some(reduced) => run(&reduced.input(input), params, &shortcuts, watcher, start),
+            None => run(input, params, &shortcuts, watcher, start),
         }?;
         result.left_out = shortcuts.counted();
         // What long sums give after a stop is of no use.
@@ -324,6 +331,21 @@ impl Default for Start {
     }
 }
 
+impl Start {
+    /// Goes on from where a first estimate ended.
+    fn after(first: First<'_>) -> Self {
+        let convergence = first.estimate.convergence.clone();
+        let elapsed = convergence.last().map_or(0.0, |last| last.elapsed_s);
+        let now = Instant::now();
+        let began = now.checked_sub(Duration::from_secs_f64(elapsed));
+        Self {
+            clock: began.unwrap_or(now),
+            convergence,
+            ..Self::default()
+        }
+    }
+}
+
 fn run(
     input: &EstimateInput<'_>,
     params: &EstimateParams,
@@ -367,9 +389,10 @@ fn run(
         iterations: &mut result.convergence,
         observer,
     };
-    let evens = !params.as_stated && start.rounds < MOST_ROUNDS;
+    let evens = !params.as_stated && start.rounds < MOST_ROUNDS && input.first.is_none();
+    let lobe = input.first.and_then(|first| first.estimate.brdf);
     let rules = Rules {
-        choice: params.specular,
+        choice: lobe.map_or(params.specular, |lobe| SpecularChoice::Model(lobe.model)),
         exposures: evens.then_some(start.rounds > 0),
     };
     match course::run(&solver, rules, &mut watch)? {
@@ -385,6 +408,9 @@ fn run(
         Outcome::Found(ending) => {
             let ended = watch.observer.enough();
             accept(&mut result, &solver, *ending);
+            if let Some(first) = input.first {
+                (result.chosen_because).clone_from(&first.estimate.chosen_because);
+            }
             if ended {
                 let warnings = &mut result.diagnostics.warnings;
                 warnings.push(diagnose::ENDED_EARLY.to_owned());

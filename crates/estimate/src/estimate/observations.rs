@@ -33,7 +33,13 @@ pub struct Seen<'a> {
     pub surfaces: &'a [ViewSurface],
     /// Which parts of the surface have another gloss than the rest, where that is known.
     pub parts: Option<&'a GlossParts>,
+    /// What it mirrors of itself, where that is known.
+    pub mirrored: Option<Mirrored<'a>>,
 }
+
+/// What a surface mirrors of itself at a place, on a triangle with weights of the second and third corner, in a unit direction, RGB in
+/// the capture's units. Places with other numbers may be looked at by other rays.
+pub type Mirrored<'a> = &'a (dyn Fn((u32, Vec2), Vec3, u32) -> [f32; 3] + Sync);
 
 impl Seen<'_> {
     /// Glosses of the surface's parts.
@@ -306,7 +312,21 @@ impl Candidate {
             .collect();
         found.sort_unstable_by_key(|c| c.order);
         found.retain(Self::among_first(sampling.limit));
+        if let Some(mirrored) = seen.mirrored {
+            let stops = || sampling.stop.load(Ordering::Relaxed);
+            (found.par_iter_mut().filter(|_| !stops())).for_each(|c| c.take_out(mirrored));
+        }
         found
+    }
+
+    /// Leaves what comes straight from the lights and the diffuse body.
+    fn take_out(&mut self, mirrored: Mirrored<'_>) {
+        for row in &mut self.rows {
+            let indirect = mirrored(self.on, row.to_camera, self.order.0);
+            for (all, indirect) in row.radiance.iter_mut().zip(indirect) {
+                *all -= indirect;
+            }
+        }
     }
 }
 

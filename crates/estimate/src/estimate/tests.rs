@@ -61,6 +61,7 @@ fn run_on(
         surfaces: &surfaces,
         occluder: &occluder,
         grid: &grid,
+        first: None,
     };
     let params = EstimateParams {
         method,

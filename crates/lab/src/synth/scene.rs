@@ -107,7 +107,7 @@ impl TrueSurface {
             .as_ref()
             .map(|i| i.of_light(&self.mesh, &shader, &self.atlas, &self.texture));
         let surroundings = (self.interreflection.as_ref())
-            .map(|around| Surroundings::new(around, &self.atlas, &self.texture, relit));
+            .map(|around| Surroundings::new(around, Some((&self.atlas, &self.texture)), relit));
         let scene = Scene {
             mesh: &self.mesh,
             occluder: &self.occluder,

@@ -59,7 +59,7 @@ impl<'a> Renderer<'a> {
         let surroundings = self.interreflection.as_ref().map(|around| {
             let relit =
                 (!unchanged).then(|| around.of_light(&solution.mesh, &shader, atlas, albedo));
-            Surroundings::new(around, atlas, texture, relit)
+            Surroundings::new(around, Some((atlas, texture)), relit)
         });
         LitScene {
             renderer: self,

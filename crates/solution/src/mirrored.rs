@@ -1,0 +1,72 @@
+//! A second look at a metal that mirrors itself.
+
+use glam::Vec3;
+
+use rekindle_estimate::estimate::{
+    Estimate, EstimateInput, EstimateParams, First, Method, Observer, Stopped, estimate,
+};
+use rekindle_relight::{Interreflection, Lighting, Scene, Shader, Surroundings};
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
+
+/// Directions about the normal in which the rays of a place are cast.
+const TURNS: usize = 4;
+
+/// A second estimate of a metal, from what comes straight from the lights, where that leaves no more unexplained than the first, which
+/// has found that lighting. Whatever else reflects mirrors too little of itself to change anything. `input` has the surface that the
+/// first one was found for.
+pub fn without_mirrored(
+    input: &EstimateInput<'_>,
+    params: &EstimateParams,
+    (first, lighting): (Estimate, &Lighting),
+    observer: &mut dyn Observer,
+) -> Result<Estimate, Stopped> {
+    let is_metal = |brdf: &Brdf| brdf.model == SpecularModel::Metal;
+    let Some(brdf) = first.brdf.filter(is_metal) else {
+        return Ok(first);
+    };
+    let EstimateInput { occluder, .. } = *input;
+    let mesh = &input.capture.mesh;
+    let around = match params.method {
+        Method::Fast if !observer.enough() => Interreflection::new(mesh, occluder, Some(brdf)),
+        _ => None,
+    };
+    let Some(around) = around else {
+        return Ok(first);
+    };
+    let shader = Shader::new(occluder, Some(brdf), lighting);
+    let surroundings = Surroundings::new(&around, None, None);
+    let scene = Scene {
+        mesh,
+        occluder,
+        brdf: Some(brdf),
+        gloss: None,
+        surroundings: Some(&surroundings),
+    };
+    // Rays of pixels beside each other complete each other in a picture, but here each place is alone.
+    let mirrored = |place, view, number: u32| {
+        let turns = (0..TURNS).map(|turn| number as usize + turn);
+        let of_turn = |turn| surroundings.reflected(&scene, &shader, place, (view, turn));
+        (turns.map(of_turn).sum::<Vec3>() / TURNS as f32).into()
+    };
+    let mut without = |mirrored| {
+        let first = First {
+            estimate: &first,
+            mirrored,
+        };
+        let again = EstimateInput {
+            first: Some(first),
+            ..*input
+        };
+        estimate(&again, params, observer)
+    };
+    let mut second = without(&mirrored)?;
+    if second.misfit > first.misfit {
+        // Something else is wrong, which the first one did not look for.
+        second = without(&|_, _, _| [0.0; 3])?;
+    }
+    Ok(Estimate {
+        exposures: first.exposures,
+        refined: first.refined,
+        ..second
+    })
+}
