@@ -20,10 +20,13 @@ use super::{Request, Shared, exposures, theme};
 use crate::worker::{OpenedCapture, Source, Worker};
 use rekindle_capture::Capture;
 use rekindle_estimate::align::{Alignment, MarkedPoint};
-use rekindle_estimate::estimate::Method;
+use rekindle_estimate::estimate::{Method, STATED_ROUGHNESS};
 use rekindle_estimate::preflight::{Finding, Severity, Thumbnail};
 use rekindle_scene::reflectance::SpecularModel;
 use rekindle_solution::{LightProbe, Solution};
+
+/// The roughness that is suggested to a user who knows it: a varnish or a glaze.
+const USUAL_ROUGHNESS: f32 = 0.3;
 
 /// Narrowest thumbnail, points.
 const THUMBNAIL: f32 = 210.0;
@@ -546,6 +549,9 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
             .labelled_by(label.id)
             .on_hover_text("Form of the specular lobe: the paper's, Beckmann's or GGX's microfacets with Fresnel factor and masking, a metal's without Fresnel factor, or whichever leaves least unexplained");
         ui.end_row();
+        let label = ui.label("Roughness");
+        ui.add_enabled_ui(settings.method == Method::Fast, |ui| roughness_ui(ui, &mut settings.roughness, label.id));
+        ui.end_row();
         let label = ui.label("Light resolution");
         ui.horizontal(|ui| {
             ui.add(egui::DragValue::new(&mut settings.frequency).range(8..=200))
@@ -585,6 +591,31 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
     if reset.clicked() {
         *settings = Estimation::default();
     }
+}
+
+/// Whether the roughness is known, and which it is.
+fn roughness_ui(ui: &mut egui::Ui, roughness: &mut Option<f32>, label: egui::Id) {
+    ui.horizontal(|ui| {
+        let mut known = roughness.is_some();
+        ui.checkbox(&mut known, "Known")
+            .on_hover_text(
+                "State the roughness in place of having it estimated: under a wide window or an overcast sky the photographs leave it \
+                 open, and the lights follow from it",
+            )
+            .on_disabled_hover_text("This method estimates the roughness");
+        if known != roughness.is_some() {
+            *roughness = known.then_some(USUAL_ROUGHNESS);
+        }
+        if let Some(roughness) = roughness {
+            roughness_slider(ui, roughness).labelled_by(label);
+        }
+    });
+}
+
+/// A slider of the roughnesses that may be stated.
+pub(super) fn roughness_slider(ui: &mut egui::Ui, roughness: &mut f32) -> egui::Response {
+    ui.add(egui::Slider::new(roughness, STATED_ROUGHNESS).max_decimals(2))
+        .on_hover_text("Roughness as Blender has it: 0 is a mirror, 1 is matt")
 }
 
 /// Nodes of a hemisphere of this frequency: an icosahedron's upper half, its equator shared.

@@ -1,9 +1,12 @@
 //! The result card: what a solve is worth and why. It stays beside the estimation and the relighting.
 
-use eframe::egui::{self, RichText, ScrollArea, vec2};
+use eframe::egui::{self, Button, RichText, ScrollArea, vec2};
 
+use super::capture_page::roughness_slider;
+use super::commands::Action;
 use super::theme::{self, Mark};
 use super::{Request, Shared};
+use rekindle_estimate::estimate::Method;
 use rekindle_estimate::registration::{Correction, describe};
 use rekindle_solution::{KnownLight, Solution};
 
@@ -11,6 +14,9 @@ use rekindle_solution::{KnownLight, Solution};
 const WIDE: f32 = 300.0;
 /// The picture of a view that comes out with this many dB is right for the eye: its bar is full.
 const FULL_DB: f32 = 50.0;
+
+/// Roughnesses that differ by less are one.
+const LEAST_DIFFERENCE: f32 = 5e-3;
 
 /// What a solve is worth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -120,6 +126,7 @@ pub(super) fn panel(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<
                 ui.set_max_width(ui.available_width() - 10.0);
                 doubts_ui(ui, solution);
                 surface_ui(ui, solution);
+                roughness_ui(ui, solution, shared);
                 corrections_ui(ui, solution);
                 views_ui(ui, solution, shared);
             });
@@ -242,6 +249,50 @@ fn surface_ui(ui: &mut egui::Ui, solution: &Solution) {
         tell("Unexplained", value, tip);
     }
     facts(ui, rows);
+}
+
+/// Another roughness to estimate the lights for: where photographs leave it open, the user may know it.
+fn roughness_ui(ui: &mut egui::Ui, solution: &Solution, shared: &mut Shared<'_>) {
+    let Some(brdf) = solution.brdf.filter(|_| solution.method == Method::Fast) else {
+        return;
+    };
+    let settings = &mut shared.settings.estimation;
+    let found = brdf.roughness();
+    let mut stated = settings.stated_roughness().unwrap_or(found);
+    ui.horizontal(|ui| {
+        let label = ui.weak("Roughness");
+        if roughness_slider(ui, &mut stated)
+            .labelled_by(label.id)
+            .changed()
+        {
+            settings.roughness = Some(stated);
+        }
+    });
+    let Some(stated) = settings.stated_roughness() else {
+        ui.add_space(theme::GAP * 0.5);
+        return;
+    };
+    let (estimate, open) = ui
+        .horizontal(|ui| {
+            let differs = (stated - found).abs() > LEAST_DIFFERENCE;
+            let estimate = Button::new("Estimate with this");
+            let estimate = ui
+                .add_enabled(differs && !shared.busy, estimate)
+                .on_hover_text("Seek the lights again for a surface as rough as this; this run is kept beside it")
+                .on_disabled_hover_text("This run has this roughness");
+            let open = ui
+                .button("Leave it open")
+                .on_hover_text("Have the roughness estimated the next time");
+            (estimate.clicked(), open.clicked())
+        })
+        .inner;
+    if open {
+        shared.settings.estimation.roughness = None;
+    }
+    if estimate {
+        shared.actions.push(Request::Action(Action::Solve));
+    }
+    ui.add_space(theme::GAP * 0.5);
 }
 
 /// A light that was given, in words.

@@ -85,6 +85,9 @@ impl Run {
         );
         // Writing into a string can't fail.
         let _ = write!(text, ", light resolution {}", self.settings.frequency);
+        if let Some(roughness) = self.settings.stated_roughness() {
+            let _ = write!(text, ", roughness {roughness:.2} as stated");
+        }
         if self.settings.as_stated {
             text += ", cameras and exposures as stated";
         }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::navigation::Habit;
 use super::relight::Question;
 use rekindle_estimate::estimate::{EstimateParams, Method, SpecularChoice};
-use rekindle_scene::reflectance::SpecularModel;
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_solution::SolveOptions;
 
 /// Recent files at most.
@@ -46,6 +46,8 @@ pub struct Estimation {
     pub method: Method,
     /// The specular model, `None` for whichever leaves less unexplained.
     pub specular: Option<SpecularModel>,
+    /// Roughness as other programs have it, 0 to 1, where the default method is not to estimate it.
+    pub roughness: Option<f32>,
     /// Frequency of the geodesic hemisphere.
     pub frequency: u32,
     /// Distance of the lights in place of the capture's.
@@ -87,6 +89,7 @@ impl Default for Estimation {
         Self {
             method: Method::Fast,
             specular: None,
+            roughness: None,
             frequency: 70,
             radius: None,
             as_stated: false,
@@ -115,6 +118,11 @@ impl Settings {
 }
 
 impl Estimation {
+    /// The roughness that is stated, if the method takes one.
+    pub fn stated_roughness(&self) -> Option<f32> {
+        self.roughness.filter(|_| self.method == Method::Fast)
+    }
+
     /// The same for `solve`.
     pub fn options(&self) -> SolveOptions {
         SolveOptions {
@@ -123,6 +131,7 @@ impl Estimation {
                 specular: self
                     .specular
                     .map_or(SpecularChoice::Auto, SpecularChoice::Model),
+                sigma: self.stated_roughness().map(Brdf::sigma_of),
                 as_stated: self.as_stated,
                 ..EstimateParams::default()
             },

@@ -13,7 +13,9 @@ use super::{OutputArgs, print_json, print_line};
 use rekindle_base::memory::peak;
 use rekindle_base::staging::check_holds_no_input;
 use rekindle_capture::{Capture, input_files};
-use rekindle_estimate::estimate::{EstimateParams, Iteration, Method, Observer, SpecularChoice};
+use rekindle_estimate::estimate::{
+    EstimateParams, Iteration, Method, Observer, STATED_ROUGHNESS, SpecularChoice,
+};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::Shortcut;
 use rekindle_solution::{
@@ -63,10 +65,6 @@ fn degrees(text: &str) -> Result<f32, String> {
         _ => Err("it must be a number of degrees".to_owned()),
     }
 }
-
-/// Roughnesses that can be stated: a smoother surface is a mirror, whose highlights no picture resolves, and a rougher one has none.
-const LEAST_ROUGHNESS: f32 = 0.07;
-const MOST_ROUGHNESS: f32 = 0.9;
 
 /// How the estimation is done.
 #[derive(clap::Args)]
@@ -231,9 +229,11 @@ impl EstimationArgs {
 
 fn roughness(text: &str) -> Result<f32, String> {
     match text.parse::<f32>() {
-        Ok(value) if (LEAST_ROUGHNESS..=MOST_ROUGHNESS).contains(&value) => Ok(value),
+        Ok(value) if STATED_ROUGHNESS.contains(&value) => Ok(value),
         _ => Err(format!(
-            "it must be a number from {LEAST_ROUGHNESS} to {MOST_ROUGHNESS}"
+            "it must be a number from {} to {}",
+            STATED_ROUGHNESS.start(),
+            STATED_ROUGHNESS.end()
         )),
     }
 }

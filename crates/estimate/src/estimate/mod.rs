@@ -38,6 +38,7 @@ pub mod workspace;
 #[cfg(test)]
 mod tests;
 
+use std::ops::RangeInclusive;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -91,6 +92,9 @@ pub enum SpecularChoice {
     #[default]
     Auto,
 }
+
+/// Roughnesses that can be stated: a smoother surface is a mirror, whose highlights no picture resolves, and a rougher one has none.
+pub const STATED_ROUGHNESS: RangeInclusive<f32> = 0.07..=0.9;
 
 /// What an estimation is asked to do.
 #[derive(Clone, Copy, Debug, Default)]
