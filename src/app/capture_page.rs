@@ -614,7 +614,11 @@ fn roughness_ui(ui: &mut egui::Ui, roughness: &mut Option<f32>, label: egui::Id)
 
 /// A slider of the roughnesses that may be stated.
 pub(super) fn roughness_slider(ui: &mut egui::Ui, roughness: &mut f32) -> egui::Response {
-    ui.add(egui::Slider::new(roughness, STATED_ROUGHNESS).max_decimals(2))
+    // Shown as it is, and changed by the user alone.
+    let slider = egui::Slider::new(roughness, STATED_ROUGHNESS)
+        .custom_formatter(|value, _| format!("{value:.2}"))
+        .clamping(egui::SliderClamping::Edits);
+    ui.add(slider)
         .on_hover_text("Roughness as Blender has it: 0 is a mirror, 1 is matt")
 }
 

@@ -334,3 +334,42 @@ fn the_guide_is_opened_from_the_welcome_page_and_closed() {
     window.run_steps(2);
     assert!(!has(&window, "The turntable"));
 }
+
+#[test]
+fn a_roughness_is_stated_beside_the_result_and_left_open_again() {
+    let capture = capture("spot_paper");
+    let mut window = window(Some(Source::Path(capture)));
+    wait_for(&mut window, "Findings");
+    coarse(&mut window);
+    let buttons = window.get_all_by_label("Estimate");
+    buttons.last().expect("the button").click();
+    window.step();
+    wait_for_part(&mut window, "Result: ");
+    window.get_by_label_contains("Result: ").click();
+    window.run_steps(2);
+    assert!(!has(&window, "Estimate with this"), "nothing is stated yet");
+    let slider = |window: &crate::driver::Window| {
+        let slider = window.get_by_role_and_label(egui::Role::Slider, "Roughness");
+        slider.accesskit_node().numeric_value()
+    };
+    let found = slider(&window);
+    let roughness = window.get_by_role_and_label(egui::Role::Slider, "Roughness");
+    roughness.set_value_accesskit(0.42);
+    window.run_steps(2);
+    click(&mut window, "Estimate with this");
+    wait_for_part(&mut window, "roughness 0.42");
+    click(&mut window, "Estimation");
+    assert!(has(&window, "Run 2 of 2"), "the first run is kept");
+    assert!(
+        !has_part(&window, "± "),
+        "a stated roughness has no interval"
+    );
+    // Below the fold, as this run has more to be told.
+    window.get_by_label("Leave it open").click_accesskit();
+    window.run_steps(2);
+    assert!(!has(&window, "Estimate with this"));
+    assert!(
+        slider(&window) > found,
+        "the slider shows what this run has"
+    );
+}

@@ -9,6 +9,7 @@ use exr::prelude::{read_first_rgba_layer_from_file, write_rgba_file};
 use glam::{DAffine3, Vec3};
 use rekindle_capture::{Capture, Photograph};
 use rekindle_estimate::estimate::{EstimateParams, Unobserved};
+use rekindle_scene::reflectance::Brdf;
 use rekindle_solution::{Solution, SolveOptions, solve};
 
 fn folder(name: &str) -> PathBuf {
@@ -300,4 +301,24 @@ fn hot_pixels_are_left_out_and_change_nothing() {
         let off = one.direction.angle_between(other.direction).to_degrees();
         assert!(off < 0.05, "a light moves by {off}°");
     }
+}
+
+#[test]
+fn a_roughness_that_is_stated_a_little_wrong_is_taken_and_has_lights() {
+    let capture = Capture::load(&folder("spot_paper")).unwrap();
+    let stated = Brdf::sigma_of(0.36);
+    let options = SolveOptions {
+        estimate: EstimateParams {
+            sigma: Some(stated),
+            ..EstimateParams::default()
+        },
+        frequency: 40,
+        radius: None,
+    };
+    let solution = solve(&capture, &options, 0.0, &mut Unobserved).unwrap();
+    let said = &solution.diagnostics.warnings;
+    assert!(solution.diagnostics.specular_found, "{said:?}");
+    assert_eq!(solution.brdf.unwrap().sigma, stated);
+    // spot_paper has two.
+    assert_eq!(solution.lamps.len(), 2);
 }

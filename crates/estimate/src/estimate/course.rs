@@ -100,10 +100,12 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
     })
 }
 
-/// Whether a coarse fit's lobe is more than an accident. One that leaves open how smooth the surface is has to predict views.
+/// Whether a coarse fit's lobe is more than an accident. One that leaves open how smooth the surface is, though nobody has stated
+/// it, has to predict views.
 fn is_glossy(solver: &Solver<'_>, coarse: &CoarseFit<'_>) -> bool {
     let is_clear = diagnose::explains_much(&coarse.state);
-    (is_clear && !diagnose::is_open(coarse)) || shows_gloss(coarse.left_out(solver))
+    let is_settled = || solver.sigma.is_some() || !diagnose::is_open(coarse);
+    (is_clear && is_settled()) || shows_gloss(coarse.left_out(solver))
 }
 
 /// A coarse fit to go on from.

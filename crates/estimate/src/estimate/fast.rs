@@ -388,9 +388,10 @@ impl Solver<'_> {
         rounds: usize,
         watch: &mut Watch<'_>,
     ) -> Result<Fit, Stopped> {
-        // What a surface mirrors of itself makes parts look glossier, not fewer of them.
+        // What a surface mirrors of itself makes parts look glossier, not fewer of them; and what is stated holds for all of it.
         let is_even = self.first.is_some_and(|first| first.parts.is_none());
-        let found = if rounds > 0 && !is_even {
+        let is_stated = self.sigma.is_some();
+        let found = if rounds > 0 && !is_even && !is_stated {
             self.gloss_parts(&state, [gloss::WORTH])
         } else {
             None
