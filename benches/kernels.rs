@@ -147,6 +147,7 @@ fn observations() -> Observations {
         views: &DEMO.capture.views,
         surfaces: &DEMO.surfaces,
         parts: None,
+        mirrored: None,
     };
     let sampling = Sampling {
         candidates: POINTS,

@@ -2,22 +2,23 @@
 
 use glam::Vec3;
 
+use super::lighting;
+use super::solve::name_lamps;
 use rekindle_estimate::estimate::{
     Estimate, EstimateInput, EstimateParams, First, Method, Observer, Stopped, estimate,
 };
-use rekindle_relight::{Interreflection, Lighting, Scene, Shader, Surroundings};
+use rekindle_relight::{Interreflection, Scene, Shader, Surroundings};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 
 /// Directions about the normal in which the rays of a place are cast.
 const TURNS: usize = 4;
 
-/// A second estimate of a metal, from what comes straight from the lights, where that leaves no more unexplained than the first, which
-/// has found that lighting. Whatever else reflects mirrors too little of itself to change anything. `input` has the surface that the
-/// first one was found for.
+/// A second estimate of a metal, from what comes straight from the lights, where that leaves no more unexplained than the first.
+/// Whatever else reflects mirrors too little of itself to change anything. `input` has the surface that the first one holds for.
 pub fn without_mirrored(
     input: &EstimateInput<'_>,
     params: &EstimateParams,
-    (first, lighting): (Estimate, &Lighting),
+    first: Estimate,
     observer: &mut dyn Observer,
 ) -> Result<Estimate, Stopped> {
     let is_metal = |brdf: &Brdf| brdf.model == SpecularModel::Metal;
@@ -33,7 +34,9 @@ pub fn without_mirrored(
     let Some(around) = around else {
         return Ok(first);
     };
-    let shader = Shader::new(occluder, Some(brdf), lighting);
+    let (lamps, lobe) = (name_lamps(&first, false), (Some(brdf), None));
+    let lit = lighting(&first.grid, &first.radiance, &lamps, Vec3::ZERO, lobe);
+    let shader = Shader::new(occluder, Some(brdf), &lit);
     let surroundings = Surroundings::new(&around, None, None);
     let scene = Scene {
         mesh,

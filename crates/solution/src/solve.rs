@@ -152,46 +152,25 @@ pub fn solve_under(
     clock.lap("hemispheres");
 
     report(observer, ESTIMATE)?;
-    let input = EstimateInput {
-        capture: &capture,
-        surfaces: &measured.surfaces,
-        occluder: &measured.occluder,
-        grid: &grid,
-        first: None,
-    };
+    let input = measured.input(&capture, &grid);
     let (mut found, known_light) = found(&input, &options.estimate, light, &mut Part { observer })?;
     if !found.exposures.is_empty() {
         corrections = with_exposures(corrections, &found.exposures);
         capture = corrected(stated, &corrections);
     }
     if let Some(refined) = &found.refined {
-        let mesh = &refined.mesh;
-        measured = Measured::new(mesh, &capture.views, observer, TEXTURE)?;
-        minimum = minimum_texture(mesh, &measured.atlas, &capture.views, &measured.surfaces);
-        capture.to_mut().mesh = mesh.clone();
+        capture.to_mut().mesh = refined.mesh.clone();
+        measured = Measured::new(&capture.mesh, &capture.views, observer, TEXTURE)?;
+        minimum = measured.minimum(&capture);
+    }
+    if light.is_none() {
+        let input = measured.input(&capture, &grid);
+        found = without_mirrored(&input, &options.estimate, found, &mut Part { observer })?;
     }
     let mesh = &capture.mesh;
-    let mut lamps = name_lamps(&found, known_light.is_some());
-    if light.is_none() {
-        let lobe = (found.brdf, None);
-        let lit = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, lobe);
-        let input = EstimateInput {
-            capture: &capture,
-            surfaces: &measured.surfaces,
-            occluder: &measured.occluder,
-            grid: &grid,
-            first: None,
-        };
-        found = without_mirrored(
-            &input,
-            &options.estimate,
-            (found, &lit),
-            &mut Part { observer },
-        )?;
-        lamps = name_lamps(&found, false);
-    }
     clock.lap("estimate");
 
+    let lamps = name_lamps(&found, known_light.is_some());
     let lobe = (found.brdf, known_light.as_ref());
     let lit = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, lobe);
     let shortcuts = Shortcuts::without(options.estimate.avoided);
@@ -399,6 +378,22 @@ impl Measured {
         })
     }
 
+    /// What is seen of a capture, whose lights are sought on these nodes.
+    fn input<'a>(&'a self, capture: &'a Capture, grid: &'a HemisphereGrid) -> EstimateInput<'a> {
+        EstimateInput {
+            capture,
+            surfaces: &self.surfaces,
+            occluder: &self.occluder,
+            grid,
+            first: None,
+        }
+    }
+
+    /// The least that the views of a capture show of each texel.
+    fn minimum(&self, capture: &Capture) -> MinimumTexture {
+        minimum_texture(&capture.mesh, &self.atlas, &capture.views, &self.surfaces)
+    }
+
     /// The capture with what does not fit the mesh and the other views corrected, and the corrections; none where all fits.
     fn registered<'c>(
         &mut self,
@@ -425,13 +420,7 @@ impl Measured {
             let of_cameras: Vec<Correction> = corrections.iter().map(|c| c.of_camera()).collect();
             let as_exposed = corrected(stated, &of_cameras);
             report(observer, EXPOSURES)?;
-            let [evened, stated] = [&capture, &as_exposed].map(|capture| EstimateInput {
-                capture,
-                surfaces: &self.surfaces,
-                occluder: &self.occluder,
-                grid,
-                first: None,
-            });
+            let [evened, stated] = [&capture, &as_exposed].map(|c| self.input(c, grid));
             if !bears_out(&evened, &stated, params, observer)? {
                 (capture, corrections) = (as_exposed, of_cameras);
             }
@@ -515,7 +504,7 @@ fn hemispheres(
         surfaces, atlas, ..
     } = measured;
     report(observer, HEMISPHERES)?;
-    let minimum = minimum_texture(&capture.mesh, atlas, &capture.views, surfaces);
+    let minimum = measured.minimum(capture);
     observer.interim(Interim::Texture {
         atlas,
         radiance: &minimum.radiance,
@@ -559,7 +548,7 @@ fn hemispheres(
 }
 
 /// The lamps with their names. Of a known light nothing is noise: what belongs to no lamp is one of its own.
-fn name_lamps(found: &Estimate, is_known: bool) -> Vec<SolutionLamp> {
+pub fn name_lamps(found: &Estimate, is_known: bool) -> Vec<SolutionLamp> {
     let mut lamps = find_lamps(&found.grid, &found.radiance);
     if is_known {
         lamps.extend(rest(&found.grid, &found.radiance, &lamps));
