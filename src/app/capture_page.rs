@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eframe::egui::{
-    self, Button, Color32, ColorImage, CornerRadius, Grid, RichText, ScrollArea, Sense, Stroke,
-    StrokeKind, TextureHandle, TextureOptions, vec2,
+    self, Color32, ColorImage, CornerRadius, Grid, RichText, ScrollArea, Sense, Stroke, StrokeKind,
+    TextureHandle, TextureOptions, vec2,
 };
 
 use super::commands::Action;
@@ -584,11 +584,12 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
         );
         ui.end_row();
     });
-    let changed = *settings != Estimation::default();
-    let reset = ui
-        .add_enabled(changed, Button::new("Reset settings"))
-        .on_hover_text("Back to the settings that suit most captures");
-    if reset.clicked() {
+    if *settings == Estimation::default() {
+        return;
+    }
+    let reset = ui.button("Reset settings");
+    let tip = "Back to the settings that suit most captures";
+    if reset.on_hover_text(tip).clicked() {
         *settings = Estimation::default();
     }
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use exr::prelude::{read_first_rgba_layer_from_file, write_rgba_file};
 use glam::{DAffine3, Vec3};
-use rekindle_capture::{Capture, Photograph};
+use rekindle_capture::{Capture, Photograph, read_radiance};
 use rekindle_estimate::estimate::{EstimateParams, Unobserved};
 use rekindle_scene::reflectance::Brdf;
 use rekindle_solution::{Solution, SolveOptions, solve};
@@ -303,22 +303,47 @@ fn hot_pixels_are_left_out_and_change_nothing() {
     }
 }
 
-#[test]
-fn a_roughness_that_is_stated_a_little_wrong_is_taken_and_has_lights() {
-    let capture = Capture::load(&folder("spot_paper")).unwrap();
-    let stated = Brdf::sigma_of(0.36);
+fn with_roughness(capture: &Capture, roughness: f32) -> Solution {
     let options = SolveOptions {
         estimate: EstimateParams {
-            sigma: Some(stated),
+            sigma: Some(Brdf::sigma_of(roughness)),
             ..EstimateParams::default()
         },
         frequency: 40,
         radius: None,
     };
-    let solution = solve(&capture, &options, 0.0, &mut Unobserved).unwrap();
+    solve(capture, &options, 0.0, &mut Unobserved).unwrap()
+}
+
+#[test]
+fn a_roughness_that_is_stated_a_little_wrong_is_taken_and_has_lights() {
+    let capture = Capture::load(&folder("spot_paper")).unwrap();
+    let solution = with_roughness(&capture, 0.36);
     let said = &solution.diagnostics.warnings;
     assert!(solution.diagnostics.specular_found, "{said:?}");
-    assert_eq!(solution.brdf.unwrap().sigma, stated);
+    assert_eq!(solution.brdf.unwrap().sigma, Brdf::sigma_of(0.36));
     // spot_paper has two.
     assert_eq!(solution.lamps.len(), 2);
+}
+
+#[test]
+fn a_roughness_that_is_stated_of_a_matt_surface_is_taken_and_doubted() {
+    let mut capture = Capture::load(&folder("spot_paper")).unwrap();
+    for (i, view) in capture.views.iter_mut().enumerate() {
+        let file = folder("spot_paper").join(format!("truth/diffuse/view_{i:03}.exr"));
+        let photograph = &view.photograph;
+        view.photograph = Arc::new(Photograph {
+            radiance: read_radiance(&file).unwrap().2,
+            coverage: photograph.coverage.clone(),
+            usable: photograph.usable.clone(),
+            ..**photograph
+        });
+    }
+    let solution = with_roughness(&capture, 0.3);
+    assert_doubted(
+        &solution,
+        "gloss of a matt surface",
+        &["do not show", "stated"],
+    );
+    assert!(solution.diagnostics.specular_found && !solution.lamps.is_empty());
 }

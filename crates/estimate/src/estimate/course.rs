@@ -53,6 +53,8 @@ pub struct Ending {
     pub bound: Option<f32>,
     /// The nodes of the lights.
     pub grid: HemisphereGrid,
+    /// Whether the photographs say that there is gloss, and not only who stated its roughness.
+    pub is_confirmed: bool,
 }
 
 /// How a course is run.
@@ -92,11 +94,16 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
         {
             return Ok(Outcome::Found(Box::new(ending)));
         }
-        if !shown {
+        // Who states a roughness says that there is gloss.
+        let is_stated = solver.sigma.is_some() && !coarse.state.lit().is_empty();
+        if !shown && !is_stated {
             return Ok(Outcome::Nothing(diagnose::NO_SPECULAR.to_owned()));
         }
         let ending = end(solver, &coarse, because, rules.choice, watch)?;
-        Ok(Outcome::Found(Box::new(ending)))
+        Ok(Outcome::Found(Box::new(Ending {
+            is_confirmed: shown,
+            ..ending
+        })))
     })
 }
 
@@ -279,6 +286,7 @@ fn end(
         suspicion,
         bound,
         grid: solver.grid.clone(),
+        is_confirmed: true,
     })
 }
 

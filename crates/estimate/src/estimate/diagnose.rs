@@ -89,6 +89,10 @@ pub const NO_SPECULAR: &str = "No specular part was found: no lights explain how
     or its highlights are smaller than a pixel or clipped, or the cameras are off by more than a highlight is wide. Everything is \
     taken as diffuse.";
 
+/// What is said where a stated roughness is all that says that there is gloss.
+pub const UNCONFIRMED: &str = "The photographs do not show that the surface is glossy: the lights are those that explain most at the \
+    roughness that was stated. Some of them may not have been there. Leave the roughness open to have the light taken from the shading.";
+
 /// What is said where the light is what the shading says.
 pub const BY_SHADING: &str = "The lighting was taken from the shading alone, as if the texture were even: it is white on the \
     whole, and its strength is open. Lights may be wider and weaker or stronger than they were.";

@@ -480,6 +480,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         suspicion,
         bound,
         grid,
+        is_confirmed,
     } = ending;
     let sigma = fit.brdf.sigma;
     let by_noise = HALF_INTERVAL * fit.noise_error / sigma;
@@ -497,13 +498,15 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         (None, None) => Some(interval(&fit, suspicion)),
     };
     let open = bound.map(|_| diagnose::OPEN.to_owned());
+    let unconfirmed = (!is_confirmed).then(|| diagnose::UNCONFIRMED.to_owned());
     let stated = solver.near.map(|(_, radius)| radius);
     // A cause that has a name is said in place of what it leaves.
     let misfit = match suspicion {
         Some(suspicion) => Some(diagnose::suspicion(suspicion, stated, solver.seen.views)),
         None => diagnose::misfit(&fit.misfit),
     };
-    let doubts = [open, misfit, diagnose::unresolved(&solver.seen, &fit)];
+    let unresolved = diagnose::unresolved(&solver.seen, &fit);
+    let doubts = [unconfirmed, open, misfit, unresolved];
     result.diagnostics.well_posed = doubts.iter().all(Option::is_none);
     let refined = result.refined.as_ref().map(diagnose::refined);
     let metal = (fit.brdf.model == SpecularModel::Metal).then(|| diagnose::METAL.to_owned());
