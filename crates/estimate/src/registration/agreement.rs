@@ -4,7 +4,7 @@
 //! to leave medians alone: a view whose radiances all differ by one factor was exposed differently, and cameras that look
 //! elsewhere than they are said to make views disagree where the texture changes.
 
-use faer::linalg::solvers::{Llt, Solve};
+use faer::linalg::solvers::Solve;
 use faer::{Col, Mat};
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
@@ -18,9 +18,6 @@ const ENOUGH: usize = 100;
 /// Least cosine between normal and view at which radiance is compared: at lower ones a varnish reflects what the diffuse
 /// body then lacks.
 const LEAST_COSINE: f32 = 0.5;
-
-/// Ways that a point of the surface may face: cells of a cube of three by three by three.
-const FACINGS: usize = 27;
 
 /// Rounds of reweighting, and where Cauchy's weights fall to a half, in median sizes.
 const ROUNDS: usize = 12;
@@ -38,22 +35,8 @@ pub struct Exposure {
 /// Points of the surface and the views that see them.
 pub struct Agreement {
     views: usize,
-    points: Vec<Point>,
-}
-
-/// A point of the surface.
-struct Point {
-    /// Which way it faces, as one of [`FACINGS`] numbers.
-    facing: usize,
-    /// The views that see it, with its radiance there, RGB: zero where it is too grazing to compare or no data.
-    views: Vec<(usize, [f64; 3])>,
-}
-
-/// What the views that can be compared show of a point.
-struct Compared {
-    facing: usize,
-    /// View and logarithm of the radiance.
-    logs: Vec<(usize, f64)>,
+    /// Of each point, the views that see it, with its radiance there, RGB: zero where it is too grazing to compare or no data.
+    points: Vec<Vec<(usize, [f64; 3])>>,
 }
 
 /// The mean of R, G and B.
@@ -67,13 +50,7 @@ impl Agreement {
         let points = mesh
             .spread(count)
             .into_par_iter()
-            .map(|(triangle, at)| {
-                let point = mesh.point(triangle, at);
-                Point {
-                    facing: facing(point.normal),
-                    views: seen_in(views, surfaces, &point),
-                }
-            })
+            .map(|(triangle, at)| seen_in(views, surfaces, &mesh.point(triangle, at)))
             .collect();
         Self {
             views: views.len(),
@@ -84,8 +61,8 @@ impl Agreement {
     /// Share of the surface seen by no view, one, two, and three or more.
     pub fn seen_by(&self) -> [f64; 4] {
         let mut counts = [0_usize; 4];
-        for point in &self.points {
-            counts[point.views.len().min(3)] += 1;
+        for views in &self.points {
+            counts[views.len().min(3)] += 1;
         }
         counts.map(|count| count as f64 / self.points.len().max(1) as f64)
     }
@@ -107,28 +84,25 @@ impl Agreement {
 
     /// Exposures as one number of each radiance has them.
     fn exposures_of(&self, number: impl Fn([f64; 3]) -> f64) -> Vec<Option<Exposure>> {
-        let rows: Vec<Compared> = self
+        let rows: Vec<Vec<(usize, f64)>> = self
             .points
             .iter()
-            .map(|point| {
-                let compared = point.views.iter().map(|&(view, r)| (view, number(r)));
+            .map(|views| {
+                let compared = views.iter().map(|&(view, r)| (view, number(r)));
                 let compared = compared.filter(|(_, r)| *r > 0.0);
-                Compared {
-                    facing: point.facing,
-                    logs: compared.map(|(view, r)| (view, r.ln())).collect(),
-                }
+                compared.map(|(view, r)| (view, r.ln())).collect()
             })
-            .filter(|row| row.logs.len() >= 2)
+            .filter(|row: &Vec<_>| row.len() >= 2)
             .collect();
         let none = vec![None; self.views];
         let mut shared = vec![0; self.views];
-        for &(view, _) in rows.iter().flat_map(|row| &row.logs) {
+        for &(view, _) in rows.iter().flatten() {
             shared[view] += 1;
         }
         if self.views < 2 || shared.iter().any(|&count| count < ENOUGH) {
             return none;
         }
-        let mut weights: Vec<Vec<f64>> = rows.iter().map(|row| vec![1.0; row.logs.len()]).collect();
+        let mut weights: Vec<Vec<f64>> = rows.iter().map(|row| vec![1.0; row.len()]).collect();
         let mut found = None;
         for _ in 0..ROUNDS {
             found = even_out(&rows, &weights, self.views);
@@ -137,28 +111,30 @@ impl Agreement {
             };
             reweight(&rows, &mut weights, logs);
         }
-        let Some((logs, factor)) = found else {
+        let Some((logs, curvatures)) = found else {
             return none;
         };
-        let errors = errors(&rows, &weights, &logs, &factor);
+        let spread = scatter(&rows, &weights, &logs);
         let common = median(&mut logs.clone()).unwrap_or(0.0);
-        let of = |(log, error): (&f64, f64)| Exposure {
-            factor: (log - common).exp(),
-            error,
-        };
-        logs.iter().zip(errors).map(|both| Some(of(both))).collect()
+        logs.iter()
+            .zip(curvatures)
+            .map(|(log, curvature)| {
+                Some(Exposure {
+                    factor: (log - common).exp(),
+                    error: spread / curvature.sqrt(),
+                })
+            })
+            .collect()
     }
 
     /// The same with each view divided by how much too bright it is in each channel.
     #[must_use]
     pub fn evened(&self, gains: &[[f64; 3]]) -> Self {
         let divided = |r: [f64; 3], gain: [f64; 3]| [0, 1, 2].map(|c| r[c] / gain[c]);
-        let even = |point: &Point| {
-            let views = point.views.iter();
-            Point {
-                facing: point.facing,
-                views: views.map(|&(v, r)| (v, divided(r, gains[v]))).collect(),
-            }
+        let even = |row: &Vec<(usize, [f64; 3])>| {
+            row.iter()
+                .map(|&(v, r)| (v, divided(r, gains[v])))
+                .collect()
         };
         Self {
             views: self.views,
@@ -168,7 +144,7 @@ impl Agreement {
 
     /// By how much the views disagree: the median over points of the mean relative deviation from the point's median.
     pub fn disagreement(&self) -> f64 {
-        let mut all: Vec<f64> = self.points.iter().filter_map(disagreement).collect();
+        let mut all: Vec<f64> = self.points.iter().filter_map(|v| disagreement(v)).collect();
         median(&mut all).unwrap_or(0.0)
     }
 
@@ -189,8 +165,8 @@ impl Agreement {
 }
 
 /// Mean deviation of a point's radiances from their median, relative to it, in the mean over the channels.
-fn disagreement(point: &Point) -> Option<f64> {
-    let of = |c: usize| channel_disagreement(point.views.iter().map(|v| v.1[c]));
+fn disagreement(views: &[(usize, [f64; 3])]) -> Option<f64> {
+    let of = |c: usize| channel_disagreement(views.iter().map(|v| v.1[c]));
     Some((of(0)? + of(1)? + of(2)?) / 3.0)
 }
 
@@ -205,54 +181,31 @@ fn channel_disagreement(radiances: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 /// Logarithms of the views' exposures, whose sum is zero, by weighted least squares with each point's own logarithm
-/// eliminated, and the factor of its equations. `None` where some views have no points in common with others.
-fn even_out(rows: &[Compared], weights: &[Vec<f64>], views: usize) -> Option<(Vec<f64>, Llt<f64>)> {
+/// eliminated, and the sum of the weights that each rests on. `None` where some views have no points in common with others.
+fn even_out(
+    rows: &[Vec<(usize, f64)>],
+    weights: &[Vec<f64>],
+    views: usize,
+) -> Option<(Vec<f64>, Vec<f64>)> {
     let mut gram = Mat::<f64>::zeros(views, views);
     let mut right = vec![0.0; views];
     for (row, weights) in rows.iter().zip(weights) {
         let total: f64 = weights.iter().sum();
-        let logs = &row.logs;
-        let mean = logs.iter().zip(weights).map(|(r, w)| w * r.1).sum::<f64>() / total;
-        for (&(view, log), &w) in logs.iter().zip(weights) {
+        let mean = row.iter().zip(weights).map(|(r, w)| w * r.1).sum::<f64>() / total;
+        for (&(view, log), &w) in row.iter().zip(weights) {
             right[view] += w * (log - mean);
             gram[(view, view)] += w;
-            for (&(other, _), &v) in logs.iter().zip(weights) {
+            for (&(other, _), &v) in row.iter().zip(weights) {
                 gram[(view, other)] -= w * v / total;
             }
         }
     }
-    let factor = centred::factor(&gram)?;
-    let solution = factor.solve(&Col::from_fn(views, |v| right[v]));
+    let solution = centred::factor(&gram)?.solve(&Col::from_fn(views, |v| right[v]));
     let logs: Vec<f64> = solution.iter().copied().collect();
-    logs.iter().all(|l| l.is_finite()).then_some((logs, factor))
-}
-
-/// Standard errors of the exposures' logarithms. Points that face the same way reflect the same light, so that what is left of
-/// them counts as one (the sandwich estimate for clusters, Liang and Zeger 1986): a polished surface makes views differ by a
-/// factor on each of its sides, an exposure by the same one on all.
-fn errors(rows: &[Compared], weights: &[Vec<f64>], logs: &[f64], factor: &Llt<f64>) -> Vec<f64> {
-    let views = logs.len();
-    let mut pulls = vec![vec![0.0; views]; FACINGS];
-    for (row, weights) in rows.iter().zip(weights) {
-        let left = differences(&row.logs, weights, logs);
-        for ((&(view, _), w), left) in row.logs.iter().zip(weights).zip(left) {
-            pulls[row.facing][view] += w * left;
-        }
-    }
-    let spread = Mat::from_fn(views, views, |i, j| {
-        pulls.iter().map(|pull| pull[i] * pull[j]).sum::<f64>()
-    });
-    let half = factor.solve(&spread);
-    let covariance = factor.solve(&half.transpose().to_owned());
-    (0..views)
-        .map(|v| covariance[(v, v)].max(0.0).sqrt())
-        .collect()
-}
-
-/// Which of [`FACINGS`] cells of a cube a direction is in.
-fn facing(direction: Vec3) -> usize {
-    let cell = (direction / direction.abs().max_element()).round() + 1.0;
-    (9.0 * cell.x + 3.0 * cell.y + cell.z) as usize
+    let curvatures = (0..views).map(|v| gram[(v, v)]).collect();
+    logs.iter()
+        .all(|l| l.is_finite())
+        .then_some((logs, curvatures))
 }
 
 /// What each row differs by from its point's weighted mean, the exposures taken out.
@@ -268,19 +221,31 @@ fn differences<'a>(
 }
 
 /// Cauchy's weights for the differences that are left, about their median size.
-fn reweight(rows: &[Compared], weights: &mut [Vec<f64>], logs: &[f64]) {
+fn reweight(rows: &[Vec<(usize, f64)>], weights: &mut [Vec<f64>], logs: &[f64]) {
     let mut sizes: Vec<f64> = rows
         .iter()
         .zip(&*weights)
-        .flat_map(|(row, weights)| differences(&row.logs, weights, logs).map(f64::abs))
+        .flat_map(|(row, weights)| differences(row, weights, logs).map(f64::abs))
         .collect();
     let scale = median(&mut sizes).unwrap_or(0.0).max(f64::MIN_POSITIVE);
     for (row, weights) in rows.iter().zip(weights) {
-        let left: Vec<f64> = differences(&row.logs, weights, logs).collect();
+        let left: Vec<f64> = differences(row, weights, logs).collect();
         for (weight, left) in weights.iter_mut().zip(left) {
             *weight = (1.0 + (left / (CAUCHY * scale)).powi(2)).recip();
         }
     }
+}
+
+/// Weighted root mean square of the differences that are left.
+fn scatter(rows: &[Vec<(usize, f64)>], weights: &[Vec<f64>], logs: &[f64]) -> f64 {
+    let (mut sum, mut total) = (0.0, 0.0);
+    for (row, weights) in rows.iter().zip(weights) {
+        for (left, w) in differences(row, weights, logs).zip(weights) {
+            sum += w * left * left;
+            total += w;
+        }
+    }
+    (sum / f64::max(total, f64::MIN_POSITIVE)).sqrt()
 }
 
 /// The views that see a point, with the radiance there, RGB; zero where it is too grazing to compare or not data.
