@@ -152,11 +152,13 @@ fn add_ambient(
         let lit: Vec<Option<Lit>> = places
             .gather(scene.mesh, atlas, both, weight)
             .into_iter()
-            .map(|means| {
+            .zip(places.areas(scene.mesh))
+            .map(|(means, area)| {
                 let [radiance, irradiance] = means?;
                 Some(Lit {
                     radiance,
                     irradiance,
+                    area,
                 })
             })
             .collect();

@@ -41,6 +41,19 @@ impl Places {
         &self.list[self.starts[place] as usize..self.starts[place + 1] as usize]
     }
 
+    /// The area that each place stands for, in square units of the mesh: a third of the triangles that meet there.
+    pub(super) fn areas(&self, mesh: &Mesh) -> Vec<f32> {
+        let mut areas = vec![0.0_f64; self.count()];
+        for (t, corners) in mesh.triangles.iter().enumerate() {
+            let [a, b, c] = mesh.corners(t as u32).map(Vec3::as_dvec3);
+            let third = (b - a).cross(c - a).length() / 6.0;
+            for &corner in corners {
+                areas[self.of[corner as usize] as usize] += third;
+            }
+        }
+        areas.into_iter().map(|area| area as f32).collect()
+    }
+
     /// Weighted means around each place of the N things that texels have; `None` where they have no weight.
     pub(super) fn gather<const N: usize>(
         &self,
