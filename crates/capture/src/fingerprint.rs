@@ -5,7 +5,7 @@ use std::hash::Hasher;
 use rayon::prelude::*;
 use siphasher::sip128::{Hasher128, SipHasher13};
 
-use super::{Camera, Capture, Mesh, View};
+use super::{Camera, Capture, LightFrame, Mesh, View};
 
 impl Capture {
     /// A digest (SipHash-1-3) of all that was measured and stated. It is the same for the same files wherever they lie, and,
@@ -18,6 +18,10 @@ impl Capture {
         add(&mut hasher, &[of_mesh(&self.mesh)]);
         add(&mut hasher, &self.light_hemisphere.up.to_array());
         add(&mut hasher, self.light_hemisphere.radius.as_slice());
+        // Where nothing else is stated, the digest is that of versions before there was a choice.
+        if self.light_hemisphere.frame == LightFrame::Camera {
+            add_text(&mut hasher, "camera");
+        }
         for warning in &self.warnings {
             add_text(&mut hasher, warning);
         }
@@ -107,6 +111,7 @@ mod tests {
             light_hemisphere: LightHemisphere {
                 up: DVec3::Z,
                 radius: None,
+                frame: LightFrame::World,
             },
             brackets: None,
             warnings: Vec::new(),
@@ -115,7 +120,7 @@ mod tests {
 
     #[test]
     fn any_change_of_what_was_measured_shows() {
-        let changes: [fn(&mut Capture); 10] = [
+        let changes: [fn(&mut Capture); 11] = [
             |_| {},
             |c| c.views[1].camera.focal.y += 1e-12,
             |c| c.views[1].camera.distortion.k[0] = 1e-6,
@@ -125,6 +130,7 @@ mod tests {
             |c| Arc::make_mut(&mut c.views[0].photograph).coverage = Some(Vec::new()),
             |c| c.mesh.normals[2].x = 1e-7,
             |c| c.light_hemisphere.radius = Some(3.0),
+            |c| c.light_hemisphere.frame = LightFrame::Camera,
             |c| c.warnings.push("clipped".to_owned()),
         ];
         let prints: Vec<u128> = changes

@@ -57,7 +57,7 @@ pub use write_cameras::{camera_matrix, transforms};
 
 use std::sync::Arc;
 
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 
 /// One photograph as linear radiance.
 #[derive(Clone, Debug)]
@@ -95,6 +95,18 @@ pub struct LightHemisphere {
     pub up: DVec3,
     /// Radius in mesh units about the object's centre, `None` for distant light.
     pub radius: Option<f64>,
+    /// What the lights stand still with.
+    pub frame: LightFrame,
+}
+
+/// What the lights stand still with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LightFrame {
+    /// The object: cameras go around it.
+    #[default]
+    World,
+    /// The camera: the object turns before it, or the lights go with it. Directions and up are as at the first view.
+    Camera,
 }
 
 /// Everything measured of one object.
@@ -112,4 +124,18 @@ pub struct Capture {
     pub brackets: Option<Brackets>,
     /// What a user should know of the input, in whole sentences.
     pub warnings: Vec<String>,
+}
+
+impl Capture {
+    /// Where the light stands still with the camera, the rigid motion per view that brings the object, as it is before that camera, to
+    /// where it is before the first: there the lights are the same for all. `None` where they stand still with the object.
+    pub fn motions(&self) -> Option<Vec<DAffine3>> {
+        let first = match self.light_hemisphere.frame {
+            LightFrame::World => None,
+            LightFrame::Camera => self.views.first(),
+        }?;
+        let first = first.camera.world_from_camera;
+        let motion = |view: &View| first * view.camera.world_from_camera.inverse();
+        Some(self.views.iter().map(motion).collect())
+    }
 }

@@ -634,5 +634,6 @@ fn hemisphere(
     LightHemisphere {
         up,
         radius: manifest.radius,
+        frame: manifest.light_frame,
     }
 }

@@ -17,6 +17,7 @@ use super::brackets::Settings;
 use super::camera::{Camera, Distortion};
 use super::colmap;
 use super::error::CaptureError;
+use super::LightFrame;
 use super::{reality_capture, sfm_data};
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3};
 use rekindle_base::files;
@@ -49,6 +50,8 @@ pub(super) struct Manifest {
     pub up: Option<DVec3>,
     /// Radius of the light hemisphere in mesh units, `None` for distant light.
     pub radius: Option<f64>,
+    /// What the lights stand still with.
+    pub light_frame: LightFrame,
     /// `applied_transform` with `applied_scale`, where the manifest states them.
     pub applied: Option<DMat4>,
     /// Whether cameras are of the pixels as they are stored, whatever the images' orientation.
@@ -374,7 +377,7 @@ impl Manifest {
                 read_frame(&fields, &top, &folder, undo)
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let (up, radius) = light_hemisphere(&top)?;
+        let (up, radius, light_frame) = light_hemisphere(&top)?;
         let mesh_path = top.text("mesh_path")?.map(str::to_owned);
         let mesh_transform = mesh_transform(&top)?;
         Ok(Self {
@@ -385,6 +388,7 @@ impl Manifest {
             mesh_transform,
             up,
             radius,
+            light_frame,
             applied,
             as_stored: false,
             partial: false,
@@ -512,11 +516,13 @@ fn mesh_transform(top: &Fields) -> Result<Option<DMat4>, CaptureError> {
     Ok(matrix)
 }
 
-/// `light_hemisphere`: unit up and radius.
-fn light_hemisphere(top: &Fields) -> Result<(Option<DVec3>, Option<f64>), CaptureError> {
+/// `light_hemisphere`: unit up, radius and what the lights stand still with.
+fn light_hemisphere(
+    top: &Fields,
+) -> Result<(Option<DVec3>, Option<f64>, LightFrame), CaptureError> {
     const KEY: &str = "light_hemisphere";
     let Some(value) = top.get(KEY) else {
-        return Ok((None, None));
+        return Ok((None, None, LightFrame::World));
     };
     let fields = Fields::of(top.manifest, KEY, value)?;
     let up = fields
@@ -530,7 +536,17 @@ fn light_hemisphere(top: &Fields) -> Result<(Option<DVec3>, Option<f64>), Captur
                 })
         })
         .transpose()?;
-    Ok((up, fields.positive("radius")?))
+    let frame = match fields.text("frame")? {
+        None | Some("world") => LightFrame::World,
+        Some("camera") => LightFrame::Camera,
+        Some(other) => {
+            let problem = format!("is \"{other}\"");
+            let advice = "write \"world\" where the lights stand still with the object, \"camera\" where they do with the camera, \
+                          as on a turntable";
+            return Err(fields.error("frame", problem, advice));
+        }
+    };
+    Ok((up, fields.positive("radius")?, frame))
 }
 
 fn read_frame(

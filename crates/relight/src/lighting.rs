@@ -7,7 +7,7 @@
 
 use std::f32::consts::TAU;
 
-use glam::{Quat, Vec3};
+use glam::{DAffine3, DVec3, Quat, Vec3};
 use serde::{Deserialize, Serialize};
 
 use rekindle_base::math::GOLDEN_ANGLE;
@@ -101,6 +101,32 @@ impl Lighting {
             remainder: Vec::new(),
             environment: Vec::new(),
             ambient: Vec3::ZERO,
+            ..*self
+        }
+    }
+
+    /// The same after a rigid motion of all that shines.
+    #[must_use]
+    pub fn moved(&self, motion: &DAffine3) -> Self {
+        let turn = |direction: Vec3| {
+            let turned = motion.transform_vector3(direction.as_dvec3());
+            turned.normalize_or(DVec3::Y).as_vec3()
+        };
+        let node = |node: &LightNode| LightNode {
+            direction: turn(node.direction),
+            ..*node
+        };
+        let lamp = |lamp: &LampNodes| LampNodes {
+            direction: turn(lamp.direction),
+            nodes: lamp.nodes.iter().map(node).collect(),
+            ..*lamp
+        };
+        Self {
+            lamps: self.lamps.iter().map(lamp).collect(),
+            remainder: self.remainder.iter().map(node).collect(),
+            environment: self.environment.iter().map(lamp).collect(),
+            centre: motion.transform_point3(self.centre.as_dvec3()).as_vec3(),
+            up: turn(self.up),
             ..*self
         }
     }
