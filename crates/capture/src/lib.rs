@@ -58,6 +58,7 @@ pub use write_cameras::{camera_matrix, transforms};
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
+use serde::{Deserialize, Serialize};
 
 /// One photograph as linear radiance.
 #[derive(Clone, Debug)]
@@ -100,13 +101,21 @@ pub struct LightHemisphere {
 }
 
 /// What the lights stand still with.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum LightFrame {
     /// The object: cameras go around it.
     #[default]
     World,
     /// The camera: the object turns before it, or the lights go with it. Directions and up are as at the first view.
     Camera,
+}
+
+impl LightFrame {
+    /// Whether it is the object.
+    pub fn is_world(&self) -> bool {
+        *self == Self::World
+    }
 }
 
 /// Everything measured of one object.

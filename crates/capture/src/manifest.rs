@@ -13,11 +13,11 @@
 //!
 //! A COLMAP model, SfMData or a table of RealityCapture is read as the manifest that nerfstudio would write for it.
 
+use super::LightFrame;
 use super::brackets::Settings;
 use super::camera::{Camera, Distortion};
 use super::colmap;
 use super::error::CaptureError;
-use super::LightFrame;
 use super::{reality_capture, sfm_data};
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3};
 use rekindle_base::files;

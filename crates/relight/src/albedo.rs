@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::ambient::{Lit, ambient_irradiance};
-use super::diffuse::DiffuseTexture;
+use super::diffuse::{DiffuseTexture, ViewLight};
 use super::fill::{Places, fill};
 use super::interreflection::Interreflection;
 use super::irradiance::texel_irradiance;
@@ -98,12 +98,15 @@ pub fn separate(
         albedo[texel.index as usize] = quotient;
         known[texel.index as usize] = part;
     }
-    let confidence = &texture.confidence;
-    let weight = |t: usize| known[t] * confidence[t];
-    let filled = fill(scene.mesh, &places, atlas, &albedo, weight);
-    for (texel, fill) in atlas.texels.iter().zip(filled) {
+    fill_unknown(
+        (scene, atlas),
+        &places,
+        &mut albedo,
+        &known,
+        &texture.confidence,
+    );
+    for texel in &atlas.texels {
         let t = texel.index as usize;
-        albedo[t] = albedo[t] * known[t] + fill * (1.0 - known[t]);
         if texture.confidence[t] < SEEN {
             texture.radiance[t] = (albedo[t] * irradiance[t]).to_array();
             texture.confidence[t] = 0.0;
@@ -114,6 +117,50 @@ pub fn separate(
     Albedo {
         albedo: albedo.iter().map(Vec3::to_array).collect(),
         ambient,
+    }
+}
+
+/// The albedo of a `texture` that is of it, as views under a light of their own make it, with what is unknown filled. The texture
+/// becomes that of the diffuse radiance under the light of one view.
+pub fn light_texture(
+    scene: &Scene,
+    atlas: &Atlas,
+    light: &ViewLight,
+    texture: &mut DiffuseTexture,
+) -> Vec<[f32; 3]> {
+    let irradiance = texel_irradiance(scene, atlas, &light.shader, &light.seen);
+    let mut albedo: Vec<Vec3> = texture.radiance.iter().map(|&a| a.into()).collect();
+    let is_known = |&confidence: &f32| if confidence < SEEN { 0.0 } else { 1.0 };
+    let known: Vec<f32> = texture.confidence.iter().map(is_known).collect();
+    let places = Places::new(scene.mesh);
+    fill_unknown(
+        (scene, atlas),
+        &places,
+        &mut albedo,
+        &known,
+        &texture.confidence,
+    );
+    for texel in &atlas.texels {
+        let t = texel.index as usize;
+        texture.radiance[t] = (albedo[t] * irradiance[t]).to_array();
+        texture.confidence[t] *= known[t];
+    }
+    albedo.iter().map(Vec3::to_array).collect()
+}
+
+/// Fills an albedo from its surroundings as far as it isn't known, 0 to 1; what is known counts by its confidence.
+fn fill_unknown(
+    (scene, atlas): (&Scene, &Atlas),
+    places: &Places,
+    albedo: &mut [Vec3],
+    known: &[f32],
+    confidence: &[f32],
+) {
+    let weight = |t: usize| known[t] * confidence[t];
+    let filled = fill(scene.mesh, places, atlas, albedo, weight);
+    for (texel, fill) in atlas.texels.iter().zip(filled) {
+        let t = texel.index as usize;
+        albedo[t] = albedo[t] * known[t] + fill * (1.0 - known[t]);
     }
 }
 
@@ -228,7 +275,7 @@ impl Mean {
 }
 
 /// Mean over channels of the 90th percentile of irradiance: that of a well-lit place.
-fn typical_irradiance(atlas: &Atlas, irradiance: &[Vec3]) -> f32 {
+pub(super) fn typical_irradiance(atlas: &Atlas, irradiance: &[Vec3]) -> f32 {
     let mut values: Vec<f32> = atlas
         .texels
         .iter()

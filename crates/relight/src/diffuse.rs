@@ -9,17 +9,19 @@
 //! Pixels weigh less the stronger the highlight that was subtracted, at grazing views and where they mix surfaces;
 //! between iterations those that disagree with the other views (interreflection, bad geometry) lose their weight.
 
-use glam::{Vec3, Vec4};
+use glam::{Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 
+use super::albedo::typical_irradiance;
 use super::best_views::BestViews;
 use super::footprints::{Canvas, Footprints, Pixel, Tap};
+use super::irradiance::texel_irradiance;
 use super::measure::psnr;
 use super::render::{Scene, specular_tiles};
 use super::samples::{Samples, bands};
 use super::shading::Shader;
 use super::triangle_shares::TriangleShares;
-use rekindle_capture::View;
+use rekindle_capture::{Mesh, View};
 use rekindle_scene::hemisphere;
 use rekindle_scene::shortcuts::{Shortcut, Shortcuts};
 use rekindle_scene::surface::{Atlas, NO_TRIANGLE, ViewSurface};
@@ -42,6 +44,8 @@ const OUTLIER: f32 = 6.0;
 const FIT_STRIDE: usize = 4;
 /// Pixels that tell a median.
 const ENOUGH_PIXELS: usize = 1 << 20;
+/// A channel with less than this part of the strongest one's irradiance says nothing about the albedo.
+const DIM_CHANNEL: f32 = 0.02;
 /// Weight, in fully trusted pixels, at which a texel's confidence is one half.
 const HALF_CONFIDENCE: f32 = 0.1;
 
@@ -68,37 +72,73 @@ pub struct ViewFit {
     pub psnr_db: f32,
 }
 
-/// Estimates the texture. `shader` holds the lighting under which the views were taken, `seen` is what triangles see of it,
-/// `surfaces` what each view sees.
+/// The light under which a view was taken.
+pub struct ViewLight<'a> {
+    /// The lighting.
+    pub shader: Shader<'a>,
+    /// What triangles see of it.
+    pub seen: TriangleShares,
+}
+
+impl<'a> ViewLight<'a> {
+    /// Looks at a lighting from all triangles.
+    pub fn new(mesh: &Mesh, atlas: &Atlas, shader: Shader<'a>) -> Self {
+        Self {
+            seen: TriangleShares::new(mesh, atlas, &shader),
+            shader,
+        }
+    }
+}
+
+/// The light under which views were taken.
+pub enum LightOfViews<'a> {
+    /// The same for all: the texture is of diffuse radiance.
+    Same(&'a ViewLight<'a>),
+    /// Each has its own: the texture is of albedo.
+    Each(&'a [ViewLight<'a>]),
+}
+
+impl<'a> LightOfViews<'a> {
+    fn of(&self, view: usize) -> &'a ViewLight<'a> {
+        match self {
+            Self::Same(light) => light,
+            Self::Each(lights) => &lights[view],
+        }
+    }
+
+    fn is_stopped(&self) -> bool {
+        match self {
+            Self::Same(light) => light.shader.is_stopped(),
+            Self::Each(lights) => lights.iter().any(|light| light.shader.is_stopped()),
+        }
+    }
+}
+
+/// Estimates the texture. `light` is that under which the views were taken, `surfaces` is what each view sees.
 pub fn reconstruct(
     scene: &Scene,
     views: &[View],
     surfaces: Vec<ViewSurface>,
     atlas: &Atlas,
-    shader: &Shader,
-    seen: &TriangleShares,
+    light: &LightOfViews,
     shortcuts: &Shortcuts,
 ) -> DiffuseTexture {
     let factor = sampling_factor(&surfaces);
     let typical = typical_radiance(views);
-    let best = shortcuts
-        .takes(Shortcut::Views)
-        .then(|| BestViews::new(scene, views, &surfaces, atlas, shader, typical))
-        .flatten();
+    let best = match light {
+        LightOfViews::Same(light) if shortcuts.takes(Shortcut::Views) => {
+            BestViews::new(scene, views, &surfaces, atlas, &light.shader, typical)
+        }
+        // Where views were lit from elsewhere each shows what the others have in shadow.
+        _ => None,
+    };
     // Of what they see only the triangles are asked for any more, and these only where there are no finer samples.
     let triangles = |surface: ViewSurface| (factor == 1).then_some(surface.triangle);
     let triangles: Vec<Option<Vec<u32>>> = surfaces.into_iter().map(triangles).collect();
     let size = [atlas.width as usize, atlas.height as usize];
     let mut sums = Canvas::new(size);
-    let tracer = Tracer {
-        scene,
-        atlas,
-        shader,
-        seen,
-        factor,
-        typical,
-    };
     let trace = |(index, (view, triangles)): (usize, (&View, Option<Vec<u32>>))| {
+        let tracer = Tracer::new(scene, atlas, light, index, (factor, typical));
         let serves = |triangle| best.as_ref().is_none_or(|b| b.serve(triangle, index));
         let footprints = tracer.trace(view, triangles.as_deref(), &serves);
         let left_out = footprints.left_out;
@@ -131,7 +171,7 @@ pub fn reconstruct(
         (*r, *g, *b) = (mean(*r), mean(*g), mean(*b));
     });
     for iteration in 0..ITERATIONS {
-        if shader.is_stopped() {
+        if light.is_stopped() {
             break;
         }
         if iteration == 1 {
@@ -207,9 +247,54 @@ struct Tracer<'a> {
     factor: u32,
     /// A typical diffuse radiance.
     typical: f32,
+    /// Irradiance of each texel and a usual one, where the texture is of albedo.
+    irradiance: Option<(Vec<[f32; 3]>, f32)>,
 }
 
-impl Tracer<'_> {
+impl<'a> Tracer<'a> {
+    /// For one of the views.
+    fn new(
+        scene: &'a Scene<'a>,
+        atlas: &'a Atlas,
+        light: &LightOfViews<'a>,
+        view: usize,
+        (factor, typical): (u32, f32),
+    ) -> Self {
+        let ViewLight { shader, seen } = light.of(view);
+        let irradiance = match light {
+            LightOfViews::Same(_) => None,
+            LightOfViews::Each(_) => {
+                let of_texels = texel_irradiance(scene, atlas, shader, seen);
+                let usual = typical_irradiance(atlas, &of_texels);
+                Some((of_texels.iter().map(Vec3::to_array).collect(), usual))
+            }
+        };
+        Self {
+            scene,
+            atlas,
+            shader,
+            seen,
+            factor,
+            typical,
+            irradiance,
+        }
+    }
+
+    /// Irradiance at a place of the surface and how much it tells of the albedo; nothing where the texture is of radiance.
+    fn irradiance_at(&self, triangle: u32, barycentric: Vec2) -> (Option<Vec3>, f32) {
+        let Some((of_texels, usual)) = &self.irradiance else {
+            return (None, 1.0);
+        };
+        let irradiance = Vec3::from(self.atlas.sample(of_texels, triangle, barycentric));
+        let part = irradiance.element_sum() / 3.0 / usual;
+        // What hardly arrives can't be divided by.
+        let least = (DIM_CHANNEL * irradiance.max_element()).max(DIM_CHANNEL * DIM_CHANNEL * usual);
+        (
+            Some(irradiance.max(Vec3::splat(least))),
+            (part * part).min(1.0),
+        )
+    }
+
     /// The pixels of a view; `triangles` are the front-most at their centres, where they are known, and `serves` says whether
     /// the texture of a triangle is made from this view.
     fn trace(
@@ -268,11 +353,15 @@ impl Tracer<'_> {
                         let (u, v) = (s.barycentric.x, s.barycentric.y);
                         Tap::new(a * (1.0 - u - v) + b * u + c * v, size)
                     });
+                    let (irradiance, told) =
+                        self.irradiance_at(middle.triangle, middle.barycentric);
+                    let diffuse = Vec3::from(photograph.radiance[pixel]) - specular;
                     let pixel = Pixel {
                         index: pixel,
                         scale: through / samples.full() as f32,
-                        target: Vec3::from(photograph.radiance[pixel]) - specular,
-                        weight: trust * cos_view.clamp(0.02, 1.0) * certainty,
+                        target: diffuse / irradiance.unwrap_or(Vec3::ONE),
+                        irradiance,
+                        weight: trust * cos_view.clamp(0.02, 1.0) * certainty * told,
                     };
                     part.push(&pixel, taps);
                 }
@@ -294,6 +383,12 @@ impl Tracer<'_> {
 impl Footprints {
     /// Takes weight from pixels whose residual is far outside the common run.
     fn distrust_outliers(&mut self, view: &View, residuals: &[Vec3], typical: f32) {
+        let residuals: Vec<Vec3> = (residuals.par_iter().enumerate())
+            .map(|(i, residual)| residual * self.irradiance(i))
+            .collect();
+        let diffuse: Vec<Vec3> = (self.target.par_iter().enumerate())
+            .map(|(i, target)| target * self.irradiance(i))
+            .collect();
         let mut sizes: Vec<f32> = residuals
             .iter()
             .zip(&self.weight)
@@ -305,19 +400,14 @@ impl Footprints {
         }
         let middle = sizes.len() / 2;
         let spread = 1.4826 * *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
-        let Self {
-            pixels,
-            target,
-            weight,
-            ..
-        } = self;
+        let Self { pixels, weight, .. } = self;
         weight
             .par_iter_mut()
             .zip(residuals)
-            .zip(pixels.par_iter().zip(target))
-            .for_each(|((weight, residual), (&pixel, target))| {
+            .zip(pixels.par_iter().zip(diffuse))
+            .for_each(|((weight, residual), (&pixel, diffuse))| {
                 let measured = Vec3::from(view.photograph.radiance[pixel as usize]);
-                let specular = SPECULAR_ERROR * (measured - *target).max_element();
+                let specular = SPECULAR_ERROR * (measured - diffuse).max_element();
                 let scale = OUTLIER * (spread.max(BASE_ERROR * typical) + specular);
                 let part = 1.0 - (residual.abs().max_element() / scale).powi(2);
                 // Never to nothing: a point that one view alone saw keeps what it has.
@@ -341,7 +431,7 @@ impl Footprints {
         let rendered: Vec<Vec3> = inside
             .par_iter()
             .zip(&measured)
-            .map(|(&i, measured)| measured - self.residual(i, texture))
+            .map(|(&i, measured)| measured - self.residual(i, texture) * self.irradiance(i))
             .collect();
         let differences = rendered.iter().zip(&measured).map(|(r, m)| *r - *m);
         ViewFit {

@@ -32,8 +32,10 @@ pub(super) struct Footprints {
     taps: Vec<Tap>,
     /// Factor of every tap: transmittance towards the viewer / sub-samples of a whole pixel.
     scale: Vec<f32>,
-    /// What was measured, minus the specular part.
+    /// What was measured, minus the specular part and over the irradiance.
     pub(super) target: Vec<Vec3>,
+    /// Irradiance; none where it is the same in all views and part of the texture.
+    irradiance: Vec<Vec3>,
     /// Confidence in the target, 0 to 1; 0 where other views serve that part of the surface.
     pub(super) weight: Vec<f32>,
     /// Pixels that show the surface but serve for nothing.
@@ -57,6 +59,8 @@ pub(super) struct Pixel {
     pub(super) scale: f32,
     /// See [`Footprints`].
     pub(super) target: Vec3,
+    /// See [`Footprints`].
+    pub(super) irradiance: Option<Vec3>,
     /// See [`Footprints`].
     pub(super) weight: f32,
 }
@@ -191,6 +195,7 @@ impl Footprints {
             taps: Vec::with_capacity(taps),
             scale: Vec::with_capacity(taps),
             target: Vec::with_capacity(taps),
+            irradiance: Vec::new(),
             weight: Vec::with_capacity(taps),
             left_out: 0,
             bands: Vec::new(),
@@ -204,6 +209,7 @@ impl Footprints {
         self.starts.push(self.taps.len() as u32);
         self.scale.push(pixel.scale);
         self.target.push(pixel.target);
+        self.irradiance.extend(pixel.irradiance);
         self.weight.push(pixel.weight);
     }
 
@@ -224,12 +230,18 @@ impl Footprints {
             self.taps.extend(part.taps);
             self.scale.extend(part.scale);
             self.target.extend(part.target);
+            self.irradiance.extend(part.irradiance);
             self.weight.extend(part.weight);
         }
     }
 
     fn taps_of(&self, i: usize) -> &[Tap] {
         &self.taps[self.starts[i] as usize..self.starts[i + 1] as usize]
+    }
+
+    /// What turns a pixel's target and residual to radiance.
+    pub(super) fn irradiance(&self, i: usize) -> Vec3 {
+        self.irradiance.get(i).copied().unwrap_or(Vec3::ONE)
     }
 
     /// How much of a pixel its taps make up, transmittance inside.
@@ -274,6 +286,11 @@ impl Footprints {
             taps,
             scale: picked(&self.scale, order),
             target: picked(&self.target, order),
+            irradiance: if self.irradiance.is_empty() {
+                Vec::new()
+            } else {
+                picked(&self.irradiance, order)
+            },
             weight: picked(&self.weight, order),
             left_out: self.left_out,
             bands,

@@ -34,8 +34,8 @@ mod shading;
 mod triangle_shares;
 mod view_transform;
 
-pub use albedo::{Albedo, Ambient, separate};
-pub use diffuse::{DiffuseTexture, ViewFit, reconstruct, srgb};
+pub use albedo::{Albedo, Ambient, light_texture, separate};
+pub use diffuse::{DiffuseTexture, LightOfViews, ViewFit, ViewLight, reconstruct, srgb};
 pub use edits::{Edit, EditError, apply, load};
 pub use environment::LatLong;
 pub use interreflection::{Field, Interreflection, Relit};
@@ -45,6 +45,6 @@ pub use measure::{brighter_than, psnr, psnr_below, white};
 pub use reflection::Surroundings;
 pub use render::{Band, Diffuse, GlossMap, Picture, Scene, Stop, render, render_bands};
 pub use samples::{Sample, Samples};
-pub use shading::{Shade, Shader, ShadingPoint, Visibility};
+pub use shading::{Shade, Shader, ShadingPoint, Visibility, ambient_gain};
 pub use triangle_shares::TriangleShares;
 pub use view_transform::{ViewTransform, luminance, turbo};

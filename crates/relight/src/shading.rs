@@ -911,7 +911,7 @@ impl Support {
 }
 
 /// Irradiance, transmittance inside, by unit radiance from everywhere.
-pub(super) fn ambient_gain(brdf: Option<Brdf>) -> f32 {
+pub fn ambient_gain(brdf: Option<Brdf>) -> f32 {
     std::f32::consts::PI * brdf.map_or(1.0, mean_transmittance)
 }
 

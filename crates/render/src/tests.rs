@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 use glam::{DVec3, Quat, Vec3, Vec4};
 
 use super::*;
-use rekindle_capture::{Camera, Distortion, Mesh};
+use rekindle_capture::{Camera, Distortion, LightFrame, Mesh};
 use rekindle_estimate::estimate::{Diagnostics, Method};
 use rekindle_output::export;
 use rekindle_relight::ViewTransform;
@@ -83,6 +83,7 @@ fn solved(brdf: Option<Brdf>, radius: Option<f32>) -> Solution {
         corrections: Vec::new(),
         sigma_interval95: None,
         known_light: None,
+        light_frame: LightFrame::World,
         grid,
         radiance,
         lamps,

@@ -6,7 +6,7 @@ use super::Solution;
 use rekindle_capture::{Camera, Capture};
 use rekindle_estimate::registration::{corrected, within_outlines};
 use rekindle_relight::{
-    Diffuse, Lighting, Picture, Scene, Shader, TriangleShares, reconstruct, render,
+    Diffuse, LightOfViews, Lighting, Picture, Scene, Shader, ViewLight, reconstruct, render,
 };
 use rekindle_scene::shortcuts::Shortcuts;
 use rekindle_scene::surface::{Occluder, ViewSurface};
@@ -31,19 +31,18 @@ pub fn diffuse_alone(capture: &Capture, solution: &Solution, cameras: &[Camera])
         surroundings: None,
     };
     let shader = Shader::new(&occluder, None, &without_light(solution));
-    let seen = TriangleShares::new(mesh, atlas, &shader);
+    let light = ViewLight::new(mesh, atlas, shader);
     let shortcuts = Shortcuts::default();
     let texture = reconstruct(
         &scene,
         &capture.views,
         surfaces,
         atlas,
-        &shader,
-        &seen,
+        &LightOfViews::Same(&light),
         &shortcuts,
     );
     let diffuse = Diffuse::Stored(atlas, &texture.radiance);
-    let picture = |camera| render(&scene, camera, &shader, diffuse);
+    let picture = |camera| render(&scene, camera, &light.shader, diffuse);
     cameras.iter().map(picture).collect()
 }
 

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::KnownLight;
+use rekindle_capture::LightFrame;
 use rekindle_estimate::estimate::{Diagnostics, Iteration, Method};
 use rekindle_estimate::registration::Correction;
 use rekindle_scene::reflectance::{Gloss, SpecularModel};
@@ -78,6 +79,9 @@ pub(super) struct Hemisphere {
     pub(super) active: usize,
     pub(super) up: [f32; 3],
     pub(super) radius: Option<f32>,
+    /// Directions are as at the first camera where the lights stand still with the camera.
+    #[serde(default, skip_serializing_if = "LightFrame::is_world")]
+    pub(super) frame: LightFrame,
     /// In the world.
     pub(super) centre: [f64; 3],
 }

@@ -48,6 +48,7 @@ pub use origin::origin;
 pub use placed::{manifest_of, write_mesh_transform, write_placed_mesh};
 pub use solve::{SolveOptions, solve, solve_under};
 
+use std::borrow::Cow;
 use std::fs;
 use std::io;
 use std::path::Path;
@@ -62,7 +63,7 @@ use format::{
 };
 use rekindle_base::files;
 use rekindle_base::staging::{DestinationError, Owned, Staging, cannot_write, check_owned};
-use rekindle_capture::{Camera, Mesh, read_cameras, transforms};
+use rekindle_capture::{Camera, LightFrame, Mesh, read_cameras, transforms};
 use rekindle_estimate::estimate::{Diagnostics, Iteration, Method};
 use rekindle_estimate::registration::Correction;
 use rekindle_relight::{GlossMap, LampNodes, LightNode, Lighting};
@@ -131,6 +132,8 @@ pub struct Solution {
     pub sigma_interval95: Option<[f32; 2]>,
     /// The light's picture, where the light was given and not estimated.
     pub known_light: Option<KnownLight>,
+    /// What the lights stand still with; with the camera, they are those before the first of `cameras`.
+    pub light_frame: LightFrame,
     /// The nodes of light.
     pub grid: HemisphereGrid,
     /// Radiance of every node, RGB, `K_S`-scaled.
@@ -177,6 +180,21 @@ impl Solution {
             self.ambient,
             (self.brdf, self.known_light.as_ref()),
         )
+    }
+
+    /// A lighting, which is stated as the object has it before the first camera, as it has it before another.
+    pub fn lighting_before<'l>(
+        &self,
+        lighting: &'l Lighting,
+        camera: &Camera,
+    ) -> Cow<'l, Lighting> {
+        match (self.light_frame, self.cameras.first()) {
+            (LightFrame::Camera, Some((_, first))) => {
+                let moved = camera.world_from_camera * first.world_from_camera.inverse();
+                Cow::Owned(lighting.moved(&moved))
+            }
+            _ => Cow::Borrowed(lighting),
+        }
     }
 
     /// How the lobe differs from place to place, where it does.
@@ -378,6 +396,7 @@ impl Solution {
                 active: self.radiance.iter().filter(|r| **r != [0.0; 3]).count(),
                 up: self.grid.up.to_array(),
                 radius: self.grid.radius,
+                frame: self.light_frame,
                 centre: world_centre(&self.mesh, self.grid.centre),
             },
             lights: self
@@ -478,6 +497,7 @@ impl Solution {
             method: manifest.method,
             brdf,
             known_light: manifest.known_light,
+            light_frame: manifest.hemisphere.frame,
             chosen_because: manifest.chosen_because,
             corrections: manifest.corrections,
             sigma_interval95: manifest.sigma_interval95,
@@ -895,6 +915,7 @@ mod tests {
             corrections: Vec::new(),
             sigma_interval95: Some([0.07, 0.08]),
             known_light: None,
+            light_frame: LightFrame::World,
             lamps: vec![SolutionLamp {
                 name: "Light 1".to_owned(),
                 direction: grid.directions[5],

@@ -23,8 +23,8 @@ use rekindle_estimate::registration::{
     Correction, Registration, corrected, describe, register, within_outlines,
 };
 use rekindle_relight::{
-    Albedo, Ambient, DiffuseTexture, GlossMap, Interreflection, Lighting, Scene, Shader,
-    Surroundings, TriangleShares, ViewFit, reconstruct, separate,
+    Albedo, Ambient, DiffuseTexture, GlossMap, Interreflection, LightOfViews, Lighting, Scene,
+    Shader, Surroundings, ViewFit, ViewLight, ambient_gain, light_texture, reconstruct, separate,
 };
 use rekindle_scene::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
@@ -140,6 +140,7 @@ pub fn solve_under(
     } else {
         measured.registered(stated, (&grid, &options.estimate), observer)?
     };
+    let motions = capture.motions();
     let misplaced = misplacements(
         &capture.views,
         &measured.surfaces,
@@ -163,7 +164,7 @@ pub fn solve_under(
         measured = Measured::new(&capture.mesh, &capture.views, observer, TEXTURE)?;
         minimum = measured.minimum(&capture);
     }
-    if light.is_none() {
+    if light.is_none() && motions.is_none() {
         let input = measured.input(&capture, &grid);
         found = without_mirrored(&input, &options.estimate, found, &mut Part { observer })?;
     }
@@ -172,7 +173,8 @@ pub fn solve_under(
 
     let lamps = name_lamps(&found, known_light.is_some());
     let lobe = (found.brdf, known_light.as_ref());
-    let lit = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, lobe);
+    let ambient = found.ambient_irradiance.unwrap_or(Vec3::ZERO) / ambient_gain(found.brdf);
+    let lit = lighting(&found.grid, &found.radiance, &lamps, ambient, lobe);
     let shortcuts = Shortcuts::without(options.estimate.avoided);
     let sight = Sight {
         mesh,
@@ -183,7 +185,10 @@ pub fn solve_under(
     };
     let gloss = gloss(&found, mesh, &measured.atlas, &minimum);
     let lobe = (found.brdf, gloss.as_ref());
-    let lit = (&lit, Ambient::beside(light.is_some()));
+    let lit = match &motions {
+        Some(motions) => Light::Turning(motions.iter().map(|m| lit.moved(&m.inverse())).collect()),
+        None => Light::Still(lit, Ambient::beside(light.is_some())),
+    };
     let (mut texture, albedo) = textures(sight, lobe, lit, &minimum, &mut clock, observer)?;
     let atlas = measured.atlas;
 
@@ -207,6 +212,7 @@ pub fn solve_under(
         corrections,
         sigma_interval95: found.sigma_interval95,
         known_light,
+        light_frame: stated.light_hemisphere.frame,
         grid: found.grid,
         radiance: found.radiance,
         lamps,
@@ -275,6 +281,14 @@ fn gloss(
     ))
 }
 
+/// The light that views were taken under.
+enum Light {
+    /// The same for all.
+    Still(Lighting, Ambient),
+    /// One for each.
+    Turning(Vec<Lighting>),
+}
+
 /// What textures are made of.
 struct Sight<'a> {
     mesh: &'a Mesh,
@@ -289,7 +303,7 @@ struct Sight<'a> {
 fn textures(
     sight: Sight<'_>,
     (brdf, gloss): (Option<Brdf>, Option<&GlossTexture>),
-    (light, ambient): (&Lighting, Ambient),
+    light: Light,
     minimum: &MinimumTexture,
     clock: &mut Clock,
     observer: &mut dyn Observer,
@@ -311,7 +325,10 @@ fn textures(
         // What a dielectric mirrors of itself is small: the first guess at its texture will do. A metal's is its highlights.
         let is_metal = brdf.is_some_and(|brdf| brdf.model == SpecularModel::Metal);
         let guess = (!is_metal).then_some((atlas, &minimum.radiance[..]));
-        let around = interreflection.as_ref();
+        // What is sent there differs from view to view where the light does.
+        let around = interreflection
+            .as_ref()
+            .filter(|_| matches!(light, Light::Still(..)));
         let surroundings = around.map(|around| Surroundings::new(around, guess, None));
         let scene = Scene {
             mesh,
@@ -320,19 +337,37 @@ fn textures(
             gloss: gloss.map(|texture| GlossMap { atlas, texture }),
             surroundings: surroundings.as_ref(),
         };
-        let shader = Shader::new(occluder, brdf, light).stopped_by(stop);
-        let seen = TriangleShares::new(mesh, atlas, &shader);
-        let mut texture = if brdf.is_some() {
-            reconstruct(&scene, views, surfaces, atlas, &shader, &seen, shortcuts)
-        } else {
-            // Without gloss no light is to be taken out.
-            let dark = Shader::new(occluder, None, &light.dark()).stopped_by(stop);
-            let seen = TriangleShares::new(mesh, atlas, &dark);
-            reconstruct(&scene, views, surfaces, atlas, &dark, &seen, shortcuts)
+        let of = |brdf, lighting: &Lighting| {
+            let shader = Shader::new(occluder, brdf, lighting).stopped_by(stop);
+            ViewLight::new(mesh, atlas, shader)
         };
-        clock.lap("texture");
-        report(&mut observer, ALBEDO)?;
-        let albedo = separate(&scene, atlas, &shader, &seen, &mut texture, ambient);
+        let from = |light: LightOfViews<'_>| {
+            reconstruct(&scene, views, surfaces, atlas, &light, shortcuts)
+        };
+        let (texture, albedo) = match light {
+            Light::Still(lighting, ambient) => {
+                let own = of(brdf, &lighting);
+                let mut texture = if brdf.is_some() {
+                    from(LightOfViews::Same(&own))
+                } else {
+                    // Without gloss no light is to be taken out.
+                    from(LightOfViews::Same(&of(None, &lighting.dark())))
+                };
+                clock.lap("texture");
+                report(&mut observer, ALBEDO)?;
+                let albedo = separate(&scene, atlas, &own.shader, &own.seen, &mut texture, ambient);
+                (texture, albedo)
+            }
+            Light::Turning(lightings) => {
+                let own: Vec<ViewLight<'_>> = lightings.iter().map(|l| of(brdf, l)).collect();
+                let mut texture = from(LightOfViews::Each(&own));
+                clock.lap("texture");
+                report(&mut observer, ALBEDO)?;
+                let albedo = light_texture(&scene, atlas, &own[0], &mut texture);
+                let ambient = lightings[0].ambient;
+                (texture, Albedo { albedo, ambient })
+            }
+        };
         clock.lap("albedo");
         // What long loops give after a stop is of no use.
         report(&mut observer, ALBEDO)?;
@@ -416,7 +451,11 @@ impl Measured {
                 SURFACE,
             )?;
         }
-        if is_doubted {
+        if capture.motions().is_some() && corrections.iter().any(Correction::scales) {
+            // What differs between views is the light on them.
+            corrections = corrections.iter().map(|c| c.of_camera()).collect();
+            capture = corrected(stated, &corrections);
+        } else if is_doubted {
             let of_cameras: Vec<Correction> = corrections.iter().map(|c| c.of_camera()).collect();
             let as_exposed = corrected(stated, &of_cameras);
             report(observer, EXPOSURES)?;
@@ -509,17 +548,26 @@ fn hemispheres(
         atlas,
         radiance: &minimum.radiance,
     });
+    let motions = capture.motions();
     let mut partials: Vec<PartialHemisphere> = Vec::with_capacity(surfaces.len());
     let at_once = at_once(&capture.views);
     let some = capture.views.chunks(at_once).zip(surfaces.chunks(at_once));
     for (views, surfaces) in some {
         report(observer, HEMISPHERES)?;
-        let partial = |(view, surface): (&View, &ViewSurface)| {
-            let specular = SpecularImage::new(&capture.mesh, atlas, &minimum, view, surface);
-            specular.partial_hemisphere(grid, view.camera.position().as_vec3())
-        };
         let first = partials.len();
-        partials.par_extend(views.par_iter().zip(surfaces).map(partial));
+        let partial = |(index, (view, surface)): (usize, (&View, &ViewSurface))| {
+            let specular = SpecularImage::new(&capture.mesh, atlas, &minimum, view, surface);
+            let eye = view.camera.position();
+            match &motions {
+                Some(motions) => {
+                    let motion = &motions[first + index];
+                    let eye = motion.transform_point3(eye).as_vec3();
+                    specular.moved(motion).partial_hemisphere(grid, eye)
+                }
+                None => specular.partial_hemisphere(grid, eye.as_vec3()),
+            }
+        };
+        partials.par_extend(views.par_iter().zip(surfaces).enumerate().map(partial));
         for (index, partial) in partials.iter().enumerate().skip(first) {
             observer.interim(Interim::Partial {
                 view: index,

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use rekindle_capture::Mesh;
+use rekindle_capture::{LightFrame, Mesh};
 use rekindle_estimate::estimate::{Diagnostics, Method};
 use rekindle_relight::{Scene, Shader, ShadingPoint};
 use rekindle_scene::hemisphere::HemisphereGrid;
@@ -84,6 +84,7 @@ pub fn solution() -> Arc<Solution> {
         corrections: Vec::new(),
         sigma_interval95: None,
         known_light: None,
+        light_frame: LightFrame::World,
         grid,
         radiance,
         lamps,

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::{env, fs, process};
 
 use glam::{DAffine3, DVec2, DVec3, Vec2, Vec3};
-use rekindle_capture::{Camera, Capture, Distortion, Mesh};
+use rekindle_capture::{Camera, Capture, Distortion, LightFrame, Mesh};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_estimate::estimate::{Diagnostics, Method};
 use rekindle_scene::hemisphere::HemisphereGrid;
@@ -155,6 +155,7 @@ pub fn solution() -> Solution {
         corrections: Vec::new(),
         sigma_interval95: Some([0.09, 0.11]),
         known_light: None,
+        light_frame: LightFrame::World,
         grid,
         radiance,
         lamps: lamps.into(),

@@ -145,17 +145,17 @@ pub fn solve(
     }))
 }
 
-/// Replaces each row's radiance by what exceeds the least of its point's views, by magnitude (paper, 2.1).
+/// Replaces each row's radiance by what exceeds the least of its point's views, by magnitude (paper, 2.1), under equal irradiance.
 fn subtract_minimum(observations: &mut Observations) {
     for point in &observations.points {
         let rows = &mut observations.rows[point.rows.clone()];
         let least = rows
             .iter()
-            .map(|r| r.radiance)
+            .map(|r| r.radiance.map(|value| value / r.irradiance))
             .min_by(|&a, &b| magnitude(a).total_cmp(&magnitude(b)));
         let diffuse = Vec3::from(least.unwrap_or_default());
         for row in rows {
-            row.radiance = (Vec3::from(row.radiance) - diffuse).to_array();
+            row.radiance = (Vec3::from(row.radiance) - diffuse * row.irradiance).to_array();
         }
     }
 }
@@ -172,8 +172,13 @@ fn initial_hemisphere(
     let mut partial: BTreeMap<(Cell, usize), (f32, f32)> = BTreeMap::new();
     for point in &observations.points {
         for row in &observations.rows[point.rows.clone()] {
-            let mirrored = 2.0 * row.cos_view * point.normal - row.to_camera;
-            if let Some(node) = grid.nearest_along(point.position, mirrored.normalize_or_zero()) {
+            let (position, normal, to_camera) = row
+                .placed
+                .map_or((point.position, point.normal, row.to_camera), |placed| {
+                    (placed.position, placed.normal, placed.to_camera)
+                });
+            let mirrored = 2.0 * row.cos_view * normal - to_camera;
+            if let Some(node) = grid.nearest_along(position, mirrored.normalize_or_zero()) {
                 let cell = solver.pyramid.parent(Cell {
                     level: solver.pyramid.finest(),
                     node: node as u32,

@@ -3,6 +3,8 @@
 //! A cell is a set of neighbouring nodes of one radiance. The solve starts from large cells over the whole
 //! hemisphere and splits only those that turn out to be lit, so that it never carries a column for the dark part.
 
+use std::collections::BTreeMap;
+
 use glam::Vec3;
 
 use rekindle_scene::hemisphere::HemisphereGrid;
@@ -146,6 +148,17 @@ impl Pyramid {
                 level: cell.level,
                 node: node as u32,
             })
+    }
+
+    /// The places among some cells of those that lie beside each other on one level, the earlier of each pair first.
+    pub fn joined(&self, cells: &[Cell]) -> Vec<[usize; 2]> {
+        let places: BTreeMap<Cell, usize> = cells.iter().copied().zip(0..).collect();
+        let joined = places.iter().flat_map(|(&cell, &i)| {
+            let others = self.neighbours(cell);
+            let others = others.filter_map(|other| places.get(&other).copied());
+            others.filter(move |&j| i < j).map(move |j| [i, j])
+        });
+        joined.collect()
     }
 
     /// Cells of the next finer level that make up a cell; none for the finest.

@@ -82,7 +82,9 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
         {
             return Ok(Outcome::Exposures(factors));
         }
-        if solver.first.is_none()
+        let is_still = solver.seen.turning.is_none();
+        if is_still
+            && solver.first.is_none()
             && (!shown || diagnose::blames_normals(&coarse.state))
             && let Some(ending) = on_refined(solver, &coarse, rules.choice, watch)?
         {
@@ -270,7 +272,8 @@ fn end(
         let fit = finish(solver, start, watch)?;
         // What a metal mirrors of itself is a cause that a second estimate takes away.
         let is_known = fit.brdf.model == SpecularModel::Metal && solver.first.is_none();
-        let is_middling = !is_known && diagnose::is_middling(&fit.misfit);
+        let is_still = solver.seen.turning.is_none();
+        let is_middling = is_still && !is_known && diagnose::is_middling(&fit.misfit);
         let is_looked_for = is_middling && !watch.observer.enough();
         let suspicion = if is_looked_for {
             solver.suspicion(&coarse.state)?

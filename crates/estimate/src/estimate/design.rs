@@ -19,7 +19,7 @@ use super::observations::{Observations, Point};
 use super::visibility::SeenCells;
 use super::workspace::Workspace;
 use rekindle_base::math::vector;
-use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::reflectance::{Brdf, ViewTerms};
 use rekindle_scene::shortcuts::{Shortcut, Shortcuts};
 
 /// Points are always cut into this many runs, so that sums come out the same on any number of threads.
@@ -83,10 +83,32 @@ impl Design<'_> {
             .collect()
     }
 
-    /// Computes the light of all cells at a point.
-    fn light(&self, lobes: &CellLobes<'_>, index: usize, out: &mut PointLobes) {
+    /// Calls `each` for every row of a point, with its number, what its view makes of a lobe, and the light of all cells there, for
+    /// which `light` is the room.
+    fn each_row(
+        &self,
+        lobes: &CellLobes<'_>,
+        index: usize,
+        light: &mut PointLobes,
+        mut each: impl FnMut(usize, &ViewTerms, &PointLobes),
+    ) {
         let point = &self.observations.points[index];
-        lobes.light(point.position, point.normal, self.seen.of(index), out);
+        for k in point.rows.clone() {
+            let row = &self.observations.rows[k];
+            let (normal, to_camera) = match row.placed {
+                Some(placed) => {
+                    lobes.light(placed.position, placed.normal, self.seen.of(k), light);
+                    (placed.normal, placed.to_camera)
+                }
+                None => {
+                    if k == point.rows.start {
+                        lobes.light(point.position, point.normal, self.seen.of(index), light);
+                    }
+                    (point.normal, row.to_camera)
+                }
+            };
+            each(k, &lobes.brdf().view_terms(normal, to_camera), light);
+        }
     }
 
     /// The lobes of each of the surface's parts.
@@ -158,10 +180,9 @@ impl Design<'_> {
             let mut rest = block.as_mut_slice();
             for index in points.clone() {
                 let lobes = &lobes[self.observations.points[index].gloss];
-                self.light(lobes, index, &mut light);
                 let of_point = self.observations.points[index].rows.len() * width;
                 let (own, others) = rest.split_at_mut(of_point);
-                self.fill_point(lobes, index, &light, own);
+                self.fill_point(lobes, index, &mut light, own);
                 rest = others;
             }
             let columns = if self.shortcuts.takes(Shortcut::Lobes) {
@@ -224,7 +245,7 @@ impl Design<'_> {
             return rows.len();
         }
         let mut reflector: Vec<f32> = (rows.iter().zip(&scales))
-            .map(|(row, scale)| scale * brdf.diffuse_exit(row.cos_view))
+            .map(|(row, scale)| scale * row.diffuse_share(brdf))
             .collect();
         let length = reflector.iter().map(|a| a * a).sum::<f32>().sqrt();
         let Some(last) = reflector.last_mut().filter(|_| length > 0.0) else {
@@ -282,17 +303,13 @@ impl Design<'_> {
                         break;
                     }
                     for index in points {
-                        let point = &self.observations.points[index];
-                        let lobes = &lobes[point.gloss];
-                        self.light(lobes, index, &mut light);
-                        for k in point.rows.clone() {
-                            let to_camera = self.observations.rows[k].to_camera;
-                            let terms = lobes.brdf().view_terms(point.normal, to_camera);
-                            lobes.row(&terms, &light, &mut value, None);
+                        let lobes = &lobes[self.observations.points[index].gloss];
+                        self.each_row(lobes, index, &mut light, |k, terms, light| {
+                            lobes.row(terms, light, &mut value, None);
                             for (sum, z) in own.iter_mut().zip(values[k]).take(channels) {
                                 vector::add_scaled(sum, weights[k] * z, &value);
                             }
-                        }
+                        });
                     }
                     for (sum, own) in sums.iter_mut().zip(&mut own).take(channels) {
                         vector::add(sum, own);
@@ -319,17 +336,16 @@ impl Design<'_> {
         &self,
         lobes: &CellLobes<'_>,
         index: usize,
-        light: &PointLobes,
+        light: &mut PointLobes,
         block: &mut [f32],
     ) {
-        let point = &self.observations.points[index];
-        let rows = &self.observations.rows[point.rows.clone()];
-        for (row, values) in rows.iter().zip(block.chunks_exact_mut(self.cells() + 3)) {
+        let mut rest = block.chunks_exact_mut(self.cells() + 3);
+        self.each_row(lobes, index, light, |k, terms, light| {
+            let Some(values) = rest.next() else { return };
             let (cells, measured) = values.split_at_mut(self.cells());
-            let terms = lobes.brdf().view_terms(point.normal, row.to_camera);
-            lobes.row(&terms, light, cells, None);
-            measured.copy_from_slice(&row.radiance);
-        }
+            lobes.row(terms, light, cells, None);
+            measured.copy_from_slice(&self.observations.rows[k].radiance);
+        });
     }
 
     /// Specular radiance of every row under the cells' radiances, with its derivative by σ.
@@ -387,19 +403,16 @@ impl Design<'_> {
             |(light, value, by_sigma), (points, values, derivatives)| {
                 let mut k = 0;
                 for index in points {
-                    let point = &self.observations.points[index];
-                    let lobes = &lobes[point.gloss];
-                    design.light(lobes, index, light);
-                    for row in &self.observations.rows[point.rows.clone()] {
-                        let terms = lobes.brdf().view_terms(point.normal, row.to_camera);
+                    let lobes = &lobes[self.observations.points[index].gloss];
+                    design.each_row(lobes, index, light, |_, terms, light| {
                         let derivative = derive.then_some(&mut by_sigma[..n]);
-                        lobes.row(&terms, light, &mut value[..n], derivative);
+                        lobes.row(terms, light, &mut value[..n], derivative);
                         values[k] = sum(value);
                         if let Some(derivative) = derivatives.get_mut(k) {
                             *derivative = sum(by_sigma);
                         }
                         k += 1;
-                    }
+                    });
                 }
             },
         );

@@ -129,7 +129,7 @@ fn columns(state: &State<'_>, point: &Point) -> Vec<(usize, Vec<[f32; 3]>)> {
     let brdf = state
         .brdf
         .at(state.design.observations.glosses[point.gloss]);
-    let share = transmitted_share(&brdf, rows.iter().map(|r| r.cos_view), weights);
+    let share = transmitted_share(&brdf, rows, weights);
     (0..rows.len())
         .map(|own| {
             let column = (0..rows.len()).map(|k| {

@@ -27,6 +27,7 @@ use super::observer::{Interim, Iteration, Observer, Stopped, Unobserved, go_on};
 use super::spread::even_out;
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
 use super::support::{drop_satellites, drop_unsupported, drop_unsupported_in_the_end};
+use super::turntable::Turning;
 use super::visibility::{SeenCells, cell_visibility};
 use super::workspace::Workspace;
 use super::{Estimate, EstimateInput};
@@ -201,6 +202,7 @@ impl<'a> Solver<'a> {
         sigma: Option<f32>,
         pyramid: &'a Pyramid,
         (shortcuts, workspace): (&'a Shortcuts, &'a Workspace),
+        turning: Option<&'a Turning<'a>>,
         started: Instant,
         stop: &'a AtomicBool,
     ) -> Self {
@@ -210,6 +212,7 @@ impl<'a> Solver<'a> {
             surfaces: input.surfaces,
             parts: None,
             mirrored: input.first.map(|first| first.mirrored),
+            turning,
         };
         Self {
             seen,
@@ -577,9 +580,14 @@ impl Solver<'_> {
         let least = reach.min(std::f32::consts::FRAC_PI_2).cos();
         let shows = |position: Vec3, normal: Vec3, rows: &[Row]| {
             directions.iter().any(|&d| {
-                let (l, _) = light_from(self.near, d, position);
-                rows.iter()
-                    .any(|r| (l + r.to_camera).normalize_or_zero().dot(normal) > least)
+                rows.iter().any(|row| {
+                    let (position, normal, to_camera) =
+                        row.placed.map_or((position, normal, row.to_camera), |p| {
+                            (p.position, p.normal, p.to_camera)
+                        });
+                    let (l, _) = light_from(self.near, d, position);
+                    (l + to_camera).normalize_or_zero().dot(normal) > least
+                })
             })
         };
         let thrifty = self.shortcuts.takes(Shortcut::UnlitPoints);

@@ -329,8 +329,8 @@ fn refined(lit: &Lit<'_>, parts: &[usize], kinds: &[Kind]) -> Vec<Gloss> {
             };
             let mut columns: Vec<[f32; 3]> = rows.clone().map(column).collect();
             let brdf = lit.brdf.at(own.glosses[point.gloss]);
-            let cosines = own.rows[rows.clone()].iter().map(|row| row.cos_view);
-            eliminate(&brdf, cosines, &robust[rows.clone()], &mut columns);
+            let own_rows = &own.rows[rows.clone()];
+            eliminate(&brdf, own_rows, &robust[rows.clone()], &mut columns);
             for (k, column) in rows.zip(columns) {
                 steps[point.gloss].add(robust[k], column);
                 let deviations = lit.weights[k].sqrt() * column[0].abs();
@@ -350,8 +350,8 @@ impl Board {
         let eliminated = |mut values: Vec<[f32; 3]>, brdf: &Brdf| {
             for point in &observations.points {
                 let own = point.rows.clone();
-                let cosines = rows[own.clone()].iter().map(|row| row.cos_view);
-                eliminate(brdf, cosines, &lit.weights[own.clone()], &mut values[own]);
+                let (rows, weights) = (&rows[own.clone()], &lit.weights[own.clone()]);
+                eliminate(brdf, rows, weights, &mut values[own]);
             }
             values
         };

@@ -120,6 +120,7 @@ pub fn estimate_under(
             params.sigma,
             &pyramid,
             (&shortcuts, &workspace),
+            None,
             Instant::now(),
             stop,
         );

@@ -31,6 +31,7 @@ mod strengths;
 mod support;
 mod suspects;
 mod total_variation;
+mod turntable;
 pub mod visibility;
 mod weights;
 pub mod workspace;
@@ -42,6 +43,7 @@ use std::ops::RangeInclusive;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -60,12 +62,14 @@ use fast::{Fit, Solver, Watch};
 use held_out::relatively_left_out;
 pub use known_light::{GivenLight, UnderGivenLight, estimate_under};
 pub use observations::Mirrored;
+use observations::Motion;
 use observer::go_on;
 pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 pub use observer::{Watcher, watched};
 pub use relief::RefinedSurface;
 use shading::light_by_shading;
 use suspects::Suspicion;
+use turntable::Turning;
 use workspace::Workspace;
 
 /// How the minimum is sought.
@@ -166,6 +170,9 @@ pub struct Estimate {
     pub convergence: Vec<Iteration>,
     /// Parts of the surface whose gloss differs from the main one, which `brdf` is; `None` where it has one for all.
     pub parts: Option<GlossParts>,
+    /// Irradiance of the diffuse layer by light from everywhere, RGB in the lights' units, where the light stands still with the camera.
+    /// Elsewhere it is read off the textures.
+    pub ambient_irradiance: Option<Vec3>,
     /// Why this specular model, in a sentence.
     pub chosen_because: String,
     /// The surface that all this holds for, where it isn't the capture's mesh: that one is too coarse or noisy.
@@ -191,6 +198,7 @@ impl Estimate {
             diagnostics: Diagnostics::default(),
             convergence: Vec::new(),
             parts: None,
+            ambient_irradiance: None,
             chosen_because: String::new(),
             refined: None,
             exposures: Vec::new(),
@@ -210,10 +218,9 @@ pub fn estimate(
 ) -> Result<Estimate, Stopped> {
     watched(observer, |watcher| {
         let shortcuts = Shortcuts::without(params.avoided);
-        let start = input.first.map_or_else(Start::default, Start::after);
         let mut result = match Reduced::of(input) {
-            Some(reduced) => run(&reduced.input(input), params, &shortcuts, watcher, start),
-            None => run(input, params, &shortcuts, watcher, start),
+            Some(reduced) => begin(&reduced.input(input), params, &shortcuts, watcher),
+            None => begin(input, params, &shortcuts, watcher),
         }?;
         result.left_out = shortcuts.counted();
         // What long sums give after a stop is of no use.
@@ -254,7 +261,15 @@ fn left_of_views(
     let pyramid = Pyramid::new(input.grid, fast::COARSEST);
     let (shortcuts, workspace) = (Shortcuts::without(params.avoided), Workspace::new());
     let with = (&shortcuts, &workspace);
-    let solver = Solver::new(input, params.sigma, &pyramid, with, Instant::now(), stop);
+    let solver = Solver::new(
+        input,
+        params.sigma,
+        &pyramid,
+        with,
+        None,
+        Instant::now(),
+        stop,
+    );
     let mut watch = Watch {
         iterations: &mut Vec::new(),
         observer: &mut Unobserved,
@@ -350,12 +365,116 @@ impl Start {
     }
 }
 
+/// Runs a method from the beginning, or from where a first estimate ended.
+fn begin(
+    input: &EstimateInput<'_>,
+    params: &EstimateParams,
+    shortcuts: &Shortcuts,
+    watcher: &Watcher<'_>,
+) -> Result<Estimate, Stopped> {
+    match input.capture.motions() {
+        Some(motions) => {
+            let motions = motions.iter().map(Motion::new).collect();
+            on_turntable(input, params, shortcuts, watcher, motions)
+        }
+        None => {
+            let start = input.first.map_or_else(Start::default, Start::after);
+            run(input, params, shortcuts, watcher, (start, None))
+        }
+    }
+}
+
+/// Rounds at most in which the lights found and the irradiance under them take turns, and the change of σ, relative, that ends them.
+const TURNTABLE_ROUNDS: usize = 3;
+const SAME_SIGMA: f32 = 2e-3;
+
+/// Runs a method where the light stands still with the camera; see [`turntable`].
+fn on_turntable(
+    input: &EstimateInput<'_>,
+    params: &EstimateParams,
+    shortcuts: &Shortcuts,
+    mut watcher: &Watcher<'_>,
+    motions: Vec<Motion>,
+) -> Result<Estimate, Stopped> {
+    let pyramid = Pyramid::new(input.grid, fast::COARSEST);
+    let workspace = Workspace::new();
+    let mut turning = Turning {
+        motions,
+        irradiance: None,
+    };
+    let (clock, stop) = (Instant::now(), watcher.stop());
+    let with = (shortcuts, &workspace);
+    let observer: &mut dyn Observer = &mut watcher;
+    go_on(observer.progress("looking at the shading", 0.0))?;
+    let (irradiance, whole, nodes) = {
+        let solver = Solver::new(
+            input,
+            params.sigma,
+            &pyramid,
+            with,
+            Some(&turning),
+            clock,
+            stop,
+        );
+        turntable::from_diffuse(&solver, input.occluder)
+    };
+    turning.irradiance = Some(irradiance);
+    let mut found: Option<Estimate> = None;
+    for _ in 0..TURNTABLE_ROUNDS {
+        let start = Start {
+            clock,
+            convergence: found
+                .as_mut()
+                .map(|f| std::mem::take(&mut f.convergence))
+                .unwrap_or_default(),
+            ..Start::default()
+        };
+        let next = run(input, params, shortcuts, watcher, (start, Some(&turning)))?;
+        let Some(brdf) = next.brdf else {
+            found = Some(Estimate {
+                grid: whole,
+                radiance: nodes,
+                ..next
+            });
+            break;
+        };
+        let before = found
+            .as_ref()
+            .and_then(|f| f.brdf)
+            .map_or(0.0, |brdf| brdf.sigma);
+        let told = {
+            let solver = Solver::new(
+                input,
+                params.sigma,
+                &pyramid,
+                with,
+                Some(&turning),
+                clock,
+                stop,
+            );
+            turntable::from_lights(&solver, input.occluder, &next)
+        };
+        found = Some(next);
+        let Some((irradiance, ambient)) = told else {
+            break;
+        };
+        if let Some(found) = &mut found {
+            found.ambient_irradiance = Some(ambient);
+        }
+        turning.irradiance = Some(irradiance);
+        if (brdf.sigma / before.max(f32::MIN_POSITIVE) - 1.0).abs() < SAME_SIGMA {
+            break;
+        }
+    }
+    found.ok_or(Stopped)
+}
+
 fn run(
     input: &EstimateInput<'_>,
     params: &EstimateParams,
     shortcuts: &Shortcuts,
     mut watcher: &Watcher<'_>,
-    start: Start,
+    (start, turning): (Start, Option<&Turning<'_>>),
 ) -> Result<Estimate, Stopped> {
     let stop = watcher.stop();
     let observer: &mut dyn Observer = &mut watcher;
@@ -367,6 +486,7 @@ fn run(
         params.sigma,
         &pyramid,
         (shortcuts, &workspace),
+        turning,
         start.clock,
         stop,
     );
@@ -393,7 +513,11 @@ fn run(
         iterations: &mut result.convergence,
         observer,
     };
-    let evens = !params.as_stated && start.rounds < MOST_ROUNDS && input.first.is_none();
+    // Where the light turns, what differs between views is that as well.
+    let evens = !params.as_stated
+        && start.rounds < MOST_ROUNDS
+        && input.first.is_none()
+        && turning.is_none();
     let lobe = input.first.and_then(|first| first.estimate.brdf);
     let rules = Rules {
         choice: lobe.map_or(params.specular, |lobe| SpecularChoice::Model(lobe.model)),
@@ -403,7 +527,12 @@ fn run(
         Outcome::Nothing(reason) => {
             result.diagnostics.warnings.push(reason);
             go_on(watch.observer.progress("looking at the shading", 0.9))?;
-            if let Some((grid, nodes)) = light_by_shading(&solver) {
+            let by_shading = if turning.is_none() {
+                light_by_shading(&solver)
+            } else {
+                None
+            };
+            if let Some((grid, nodes)) = by_shading {
                 let said = diagnose::BY_SHADING.to_owned();
                 result.diagnostics.warnings.push(said);
                 (result.grid, result.radiance) = (grid, nodes);
@@ -432,7 +561,7 @@ fn run(
                 capture: &evened,
                 ..*input
             };
-            return run(&input, params, shortcuts, watcher, start);
+            return run(&input, params, shortcuts, watcher, (start, turning));
         }
     }
     Ok(result)

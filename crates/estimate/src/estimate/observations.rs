@@ -7,9 +7,10 @@
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use glam::{DVec2, Vec2, Vec3};
+use glam::{DAffine3, DQuat, DVec2, Quat, Vec2, Vec3};
 use rayon::prelude::*;
 
+use super::turntable::Turning;
 use rekindle_base::math::morton;
 use rekindle_capture::{Mesh, Photograph, View};
 use rekindle_scene::reflectance::{Brdf, Gloss};
@@ -35,6 +36,8 @@ pub struct Seen<'a> {
     pub parts: Option<&'a GlossParts>,
     /// What it mirrors of itself, where that is known.
     pub mirrored: Option<Mirrored<'a>>,
+    /// How it stands to the light in each view, where that stands still with the camera.
+    pub turning: Option<&'a Turning<'a>>,
 }
 
 /// What a surface mirrors of itself at a place, on a triangle with weights of the second and third corner, in a unit direction, RGB in
@@ -69,6 +72,57 @@ pub struct Row {
     pub radiance: [f32; 3],
     /// How unsure the interpolated radiance is: the image's local deviation from a plane, same units.
     pub detail: f32,
+    /// Irradiance of its point in this view, as a part of what is usual; 1 where it is the same in all views.
+    pub irradiance: f32,
+    /// The point as it is before this camera, where the light stands still with the camera.
+    pub placed: Option<Placed>,
+}
+
+impl Row {
+    /// What the viewer gets of the point's diffuse colour, which is that under usual irradiance.
+    pub fn diffuse_share(&self, brdf: &Brdf) -> f32 {
+        brdf.diffuse_exit(self.cos_view) * self.irradiance
+    }
+}
+
+/// A surface point where the lights stand still.
+#[derive(Clone, Copy, Debug)]
+pub struct Placed {
+    /// Position.
+    pub position: Vec3,
+    /// Unit shading normal.
+    pub normal: Vec3,
+    /// Unit direction to the camera.
+    pub to_camera: Vec3,
+    /// What turns directions there to those of the surface.
+    pub to_surface: Quat,
+}
+
+/// The rigid motion that brings a surface, as it is before a camera, to where the lights stand still.
+#[derive(Clone, Copy, Debug)]
+pub struct Motion {
+    turn: Quat,
+    shift: Vec3,
+}
+
+impl Motion {
+    /// The same in single precision.
+    pub fn new(motion: &DAffine3) -> Self {
+        Self {
+            turn: DQuat::from_mat3(&motion.matrix3).normalize().as_quat(),
+            shift: motion.translation.as_vec3(),
+        }
+    }
+
+    /// A point and the direction from it to the camera.
+    pub fn place(&self, position: Vec3, normal: Vec3, to_camera: Vec3) -> Placed {
+        Placed {
+            position: self.turn * position + self.shift,
+            normal: self.turn * normal,
+            to_camera: self.turn * to_camera,
+            to_surface: self.turn.conjugate(),
+        }
+    }
 }
 
 /// A surface point that at least two views see.
@@ -316,6 +370,11 @@ impl Candidate {
             let stops = || sampling.stop.load(Ordering::Relaxed);
             (found.par_iter_mut().filter(|_| !stops())).for_each(|c| c.take_out(mirrored));
         }
+        if let Some(irradiance) = seen.turning.and_then(|turning| turning.irradiance.as_ref()) {
+            let stops = || sampling.stop.load(Ordering::Relaxed);
+            (found.par_iter_mut().filter(|_| !stops()))
+                .for_each(|c| irradiance.tell(c.position, c.normal, &mut c.rows));
+        }
         found
     }
 
@@ -405,6 +464,10 @@ fn row(seen: &Seen<'_>, view: usize, position: Vec3, normal: Vec3) -> Option<Row
         cos_view,
         radiance,
         detail,
+        irradiance: 1.0,
+        placed: seen
+            .turning
+            .map(|turning| turning.motions[view].place(position, normal, to_camera)),
     })
 }
 

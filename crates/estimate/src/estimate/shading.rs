@@ -11,7 +11,6 @@
 //! what explains points that had no say best. The channels are then sought one by one, each with a mean of 1: the
 //! light is white on the whole, and known up to its strength.
 
-use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use faer::Mat;
@@ -52,7 +51,7 @@ const DARK: f64 = 0.1;
 const LEAST_DIFFERENCE: f64 = 0.01;
 
 /// Mean albedo that an object is taken to have, as the light's strength is open.
-const MEAN_ALBEDO: f64 = 0.5;
+pub const MEAN_ALBEDO: f64 = 0.5;
 
 /// What shading is looked at on.
 struct Shading<'a> {
@@ -95,7 +94,8 @@ pub fn light_by_shading(solver: &Solver<'_>) -> Option<(HemisphereGrid, Vec<[f32
         (cells, shading, judged) = (finer, on_finer, again);
     }
     let x = shading.light(shading.pairs, smoothness);
-    let bright = shading.brightest(&x);
+    // The others are left to the ambient light, which is read off the texture.
+    let bright = brightest(&x, &shading.mean, MOST);
     let unit = f64::from(solver.coarse.scale) * shading.usual / MEAN_ALBEDO;
     let channels = [0, 1, 2].map(|channel| {
         shading.radiance = over_mean(&diffuse(&observations, |v| v[channel])).1;
@@ -120,8 +120,22 @@ fn pairs(points: &[Point]) -> Vec<[usize; 2]> {
     pairs.collect()
 }
 
+/// Which of some lights give the part `most` of the mean irradiance, which is 1 and by unit strength of each is `mean`.
+pub fn brightest(x: &[f64], mean: &[f64], most: f64) -> Vec<bool> {
+    let share = |k: usize| x[k] * mean[k];
+    let mut order: Vec<usize> = (0..x.len()).collect();
+    order.sort_by(|&a, &b| share(b).total_cmp(&share(a)));
+    let mut is_bright = vec![false; x.len()];
+    let mut left = most;
+    for k in order {
+        is_bright[k] = left > 0.0;
+        left -= share(k);
+    }
+    is_bright
+}
+
 /// The finer cells of those that are not nearly dark.
-fn lit_children(pyramid: &Pyramid, cells: &[Cell], x: &[f64]) -> Vec<Cell> {
+pub fn lit_children(pyramid: &Pyramid, cells: &[Cell], x: &[f64]) -> Vec<Cell> {
     let brightest = x.iter().copied().fold(0.0, f64::max);
     let lit = cells.iter().zip(x).filter(|(_, v)| **v > DIM * brightest);
     lit.flat_map(|(&cell, _)| pyramid.children(cell)).collect()
@@ -152,12 +166,6 @@ impl<'a> Shading<'a> {
             };
             (0..cells.len()).map(of).collect()
         };
-        let places: BTreeMap<Cell, usize> = cells.iter().copied().zip(0..).collect();
-        let joined = places.iter().flat_map(|(&cell, &i)| {
-            let others = pyramid.neighbours(cell);
-            let others = others.filter_map(|other| places.get(&other).copied());
-            others.filter(move |&j| i < j).map(move |j| [i, j])
-        });
         let irradiance: Vec<Vec<f64>> = observations.points.par_iter().map(irradiance).collect();
         let of_cell = |k: usize| mean(&irradiance.iter().map(|row| row[k]).collect::<Vec<_>>());
         Self {
@@ -167,7 +175,7 @@ impl<'a> Shading<'a> {
             mean: (0..cells.len()).map(of_cell).collect(),
             irradiance,
             pairs,
-            joined: joined.collect(),
+            joined: pyramid.joined(cells),
         }
     }
 
@@ -189,20 +197,6 @@ impl<'a> Shading<'a> {
             self.contrasts(&self.half(1 - half), &x)
         });
         judged.concat()
-    }
-
-    /// The cells that give most of the mean irradiance. The others are left to the ambient light, which is read off the texture.
-    fn brightest(&self, x: &[f64]) -> Vec<bool> {
-        let share = |k: usize| x[k] * self.mean[k];
-        let mut order: Vec<usize> = (0..x.len()).collect();
-        order.sort_by(|&a, &b| share(b).total_cmp(&share(a)));
-        let mut is_bright = vec![false; x.len()];
-        let mut left = MOST;
-        for k in order {
-            is_bright[k] = left > 0.0;
-            left -= share(k);
-        }
-        is_bright
     }
 
     /// Every second point's pairs.
@@ -321,6 +315,7 @@ fn over_mean(values: &[f64]) -> (f64, Vec<f64>) {
     (mean, values.iter().map(|v| v / mean).collect())
 }
 
-fn mean(values: &[f64]) -> f64 {
+/// The mean; 0 of nothing.
+pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len().max(1) as f64
 }

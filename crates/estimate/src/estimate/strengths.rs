@@ -176,8 +176,7 @@ impl Search<'_> {
             let mut shown = shown[own.clone()].to_vec();
             let mut measured: Vec<_> = rows[own.clone()].iter().map(|r| r.radiance).collect();
             for values in [&mut shown, &mut measured] {
-                let cosines = rows[own.clone()].iter().map(|row| row.cos_view);
-                eliminate(&before.brdf, cosines, weights, values);
+                eliminate(&before.brdf, &rows[own.clone()], weights, values);
             }
             let product = |a: &[[f32; 3]], b: &[[f32; 3]]| -> f64 {
                 let terms = weights.iter().zip(a).zip(b);

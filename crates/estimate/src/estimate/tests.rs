@@ -467,6 +467,8 @@ fn bare_observations(points: usize, random: &mut Random) -> Observations {
                 cos_view: normal.dot(to_camera),
                 radiance: [0.0; 3],
                 detail: 0.0,
+                irradiance: 1.0,
+                placed: None,
             }));
         all.points.push(Point {
             position: Vec3::ZERO,

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
 use super::lobes::light_from;
-use super::observations::Point;
+use super::observations::{Placed, Point, Row};
 use rekindle_scene::reflectance::Brdf;
 use rekindle_scene::shortcuts::Shortcut;
 use rekindle_scene::surface::Occluder;
@@ -26,7 +26,7 @@ struct Group {
     around: Vec<usize>,
 }
 
-/// What share of each cell each point sees.
+/// What share of each cell each point sees, or each row where the points are placed for every view.
 #[derive(Clone, Debug, Default)]
 pub struct SeenCells {
     /// The shares of all cells that there were, point by point; without any, everything is seen.
@@ -54,7 +54,7 @@ impl SeenCells {
         }
     }
 
-    /// What a point sees; `None` where that is everything.
+    /// What a point, or a row, sees; `None` where that is everything.
     pub(super) fn of(&self, point: usize) -> Option<SeenFrom<'_>> {
         let first = point * self.width;
         let shares = self.shares.get(first..first + self.width);
@@ -84,7 +84,7 @@ impl<'a> SeenFrom<'a> {
     }
 }
 
-/// Share of each cell that each point of the design sees, 0 or 1.
+/// Share of each cell that each point of the design sees, 0 or 1; each row, where points are placed for every view.
 ///
 /// Cells are tested in groups about as wide as a cell of the next coarser level: where a group and those around it
 /// agree, its cells follow, and only at the edge of a shadow does each cell get its own ray. Where no row of a point
@@ -100,15 +100,15 @@ pub fn cell_visibility(
     let widest = design.observations.widest(brdf);
     let support = widest.half_angle_support(NEGLIGIBLE) + 0.5 * groups.reach;
     let n = cells.len();
-    let mut shares = vec![1.0_f32; design.observations.points.len() * n];
+    let lookouts = Lookout::all(design, occluder);
+    let mut shares = vec![1.0_f32; lookouts.len() * n];
     shares
         .par_chunks_mut(n.max(1))
-        .enumerate()
-        .for_each(|(index, out)| {
+        .zip(&lookouts)
+        .for_each(|(out, lookout)| {
             if design.stop.load(Ordering::Relaxed) {
                 return;
             }
-            let lookout = Lookout::new(design, occluder, index);
             let rays = if design.shortcuts.takes(Shortcut::ShadowRays) {
                 lookout.look_by_groups(&groups, support, out)
             } else {
@@ -126,37 +126,60 @@ struct Lookout<'a> {
     design: &'a Design<'a>,
     occluder: &'a Occluder,
     point: &'a Point,
-    /// Where its rays start.
-    origin: Vec3,
+    /// Its rows, or the one that it is placed for.
+    rows: &'a [Row],
+    placed: Option<Placed>,
 }
 
 impl<'a> Lookout<'a> {
-    fn new(design: &'a Design<'_>, occluder: &'a Occluder, index: usize) -> Self {
-        let point = &design.observations.points[index];
-        Self {
+    /// A lookout for each point, or for each row where points are placed for every view.
+    fn all(design: &'a Design<'_>, occluder: &'a Occluder) -> Vec<Self> {
+        let of = |point: &'a Point, rows: &'a [Row]| Self {
             design,
             occluder,
             point,
-            origin: occluder.offset_origin(point.position, point.normal),
-        }
+            rows,
+            placed: rows[0].placed,
+        };
+        let observations = design.observations;
+        let turns = observations.rows.iter().any(|row| row.placed.is_some());
+        let points = observations.points.iter();
+        let lookouts = points.flat_map(|point| {
+            let rows = &observations.rows[point.rows.clone()];
+            let size = if turns { 1 } else { rows.len().max(1) };
+            rows.chunks(size).map(move |rows| of(point, rows))
+        });
+        lookouts.collect()
+    }
+
+    /// Its place and normal where the lights stand still.
+    fn place(&self) -> (Vec3, Vec3) {
+        let placed = self.placed.map(|placed| (placed.position, placed.normal));
+        placed.unwrap_or((self.point.position, self.point.normal))
     }
 
     /// Calls `tell` for each of some numbered directions, and whether the point sees that way.
     fn each(&self, directions: &[(usize, Vec3)], mut tell: impl FnMut(usize, bool)) {
+        let Point {
+            position, normal, ..
+        } = *self.point;
+        let origin = self.occluder.offset_origin(position, normal);
         let rays = directions.iter().map(|&(number, direction)| {
             let (l, distance) = self.ray(direction);
             (number, l, distance)
         });
         let tell = |number, is_blocked: bool| tell(number, !is_blocked);
-        self.occluder.each_occluded(self.origin, rays, tell);
+        self.occluder.each_occluded(origin, rays, tell);
     }
 
-    /// Direction and length of a ray towards a light.
+    /// Direction and length of a ray towards a light, as the surface lies.
     fn ray(&self, direction: Vec3) -> (Vec3, f32) {
-        let (l, _) = light_from(self.design.near, direction, self.point.position);
+        let (position, _) = self.place();
+        let (l, _) = light_from(self.design.near, direction, position);
         let distance = self.design.near.map_or(f32::INFINITY, |(centre, radius)| {
-            (centre + radius * direction - self.origin).length()
+            (centre + radius * direction - position).length()
         });
+        let l = self.placed.map_or(l, |placed| placed.to_surface * l);
         (l, distance)
     }
 
@@ -204,15 +227,13 @@ impl<'a> Lookout<'a> {
     /// Whether light from a direction, or up to `reach` from it, is not behind the surface and has a half vector whose
     /// cosine is more than `least` in some row.
     fn could_show(&self, direction: Vec3, reach: f32, least: f32) -> bool {
-        let (l, _) = light_from(self.design.near, direction, self.point.position);
-        let normal = self.point.normal;
-        normal.dot(l) > -reach
-            && self.design.observations.rows[self.point.rows.clone()]
-                .iter()
-                .any(|row| {
-                    let sum = l + row.to_camera;
-                    sum.dot(normal) > least * sum.length()
-                })
+        let (position, normal) = self.place();
+        let (l, _) = light_from(self.design.near, direction, position);
+        let shows = |row: &Row| {
+            let sum = l + row.placed.map_or(row.to_camera, |placed| placed.to_camera);
+            sum.dot(normal) > least * sum.length()
+        };
+        normal.dot(l) > -reach && self.rows.iter().any(shows)
     }
 }
 

@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use super::design::{Design, Prediction};
-use super::observations::{Observations, Point};
+use super::observations::{Observations, Point, Row};
 use rekindle_scene::reflectance::Brdf;
 
 /// Residuals past this many standard deviations lose weight (Huber's constant for 95 % efficiency).
@@ -86,21 +86,17 @@ pub fn eliminate_all(
     values: &mut [[f32; 3]],
 ) {
     for point in &observations.points {
-        let rows = point.rows.clone();
-        let cosines = observations.rows[rows.clone()].iter().map(|r| r.cos_view);
+        let own = point.rows.clone();
         let brdf = brdf.at(observations.glosses[point.gloss]);
-        eliminate(&brdf, cosines, &weights[rows.clone()], &mut values[rows]);
+        let rows = &observations.rows[own.clone()];
+        eliminate(&brdf, rows, &weights[own.clone()], &mut values[own]);
     }
 }
 
 /// Of each of a point's rows, the part of it that goes into the point's diffuse colour, and the part of the diffuse colour
 /// that it shows.
-pub fn transmitted_share(
-    brdf: &Brdf,
-    cosines: impl Iterator<Item = f32>,
-    weights: &[f32],
-) -> Vec<(f32, f32)> {
-    let transmittance: Vec<f32> = cosines.map(|c| brdf.diffuse_exit(c)).collect();
+pub fn transmitted_share(brdf: &Brdf, rows: &[Row], weights: &[f32]) -> Vec<(f32, f32)> {
+    let transmittance: Vec<f32> = rows.iter().map(|row| row.diffuse_share(brdf)).collect();
     let total: f32 = weights
         .iter()
         .zip(&transmittance)
@@ -115,13 +111,8 @@ pub fn transmitted_share(
 }
 
 /// Takes the best multiple of the diffuse transmittance out of one point's rows.
-pub fn eliminate(
-    brdf: &Brdf,
-    cosines: impl Iterator<Item = f32>,
-    weights: &[f32],
-    values: &mut [[f32; 3]],
-) {
-    let share = transmitted_share(brdf, cosines, weights);
+pub fn eliminate(brdf: &Brdf, rows: &[Row], weights: &[f32], values: &mut [[f32; 3]]) {
+    let share = transmitted_share(brdf, rows, weights);
     let mut mean = [0.0_f32; 3];
     for ((into, _), v) in share.iter().zip(values.iter()) {
         for (m, v) in mean.iter_mut().zip(v) {
@@ -146,7 +137,7 @@ pub fn log_diffuse(
         let (mut sum, mut total) = (Vec3::ZERO, 0.0);
         for k in point.rows.clone() {
             let row = &observations.rows[k];
-            let through = brdf.diffuse_exit(row.cos_view);
+            let through = row.diffuse_share(brdf);
             let diffuse = Vec3::from(row.radiance) - Vec3::from(shown[k]);
             sum += weights[k] * through * diffuse;
             total += weights[k] * through * through;

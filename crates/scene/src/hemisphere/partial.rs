@@ -6,7 +6,7 @@
 //! enough views show something, at the least that any of them shows. The values are reflected radiance, still blurred
 //! by the lobe and not yet divided by its integral: they say where light may be, and roughly how much.
 
-use glam::Vec3;
+use glam::{DAffine3, Vec3};
 use rayon::prelude::*;
 
 use super::grid::HemisphereGrid;
@@ -111,6 +111,19 @@ impl SpecularImage {
         let pixels = rows.flat_map_iter(of_row);
         Self {
             pixels: pixels.collect(),
+        }
+    }
+
+    /// The same after a rigid motion of the surface.
+    #[must_use]
+    pub fn moved(self, motion: &DAffine3) -> Self {
+        let pixel = |pixel: SpecularPixel| SpecularPixel {
+            normal: motion.transform_vector3(pixel.normal.as_dvec3()).as_vec3(),
+            position: motion.transform_point3(pixel.position.as_dvec3()).as_vec3(),
+            ..pixel
+        };
+        Self {
+            pixels: self.pixels.into_par_iter().map(pixel).collect(),
         }
     }
 
