@@ -116,6 +116,9 @@ struct ViewArgs {
     /// Factor of all radiances
     #[arg(long, default_value_t = 1.0, value_parser = positive)]
     scale: f32,
+    /// Turn the object before one camera: the light stands still with the camera, and lamps are stated as at the first view
+    #[arg(long)]
+    turntable: bool,
     /// Write this many 8-bit PNG files for each view in place of one EXR file
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..=9), conflicts_with = "exposures")]
     brackets: Option<u32>,
@@ -349,6 +352,7 @@ impl SynthArgs {
                 size: self.views.size.pixels(),
                 supersampling: self.views.samples.isqrt() / 4,
                 scale: self.views.scale,
+                turntable: self.views.turntable,
             },
             sensor: Sensor {
                 noise: self.faults.noise / 100.0,

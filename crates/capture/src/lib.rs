@@ -137,11 +137,12 @@ pub struct Capture {
 
 impl Capture {
     /// Where the light stands still with the camera, the rigid motion per view that brings the object, as it is before that camera, to
-    /// where it is before the first: there the lights are the same for all. `None` where they stand still with the object.
+    /// where it is before the first: there the lights are the same for all. `None` where they stand still with the object, or there is a
+    /// single view.
     pub fn motions(&self) -> Option<Vec<DAffine3>> {
         let first = match self.light_hemisphere.frame {
             LightFrame::World => None,
-            LightFrame::Camera => self.views.first(),
+            LightFrame::Camera => self.views.first().filter(|_| self.views.len() > 1),
         }?;
         let first = first.camera.world_from_camera;
         let motion = |view: &View| first * view.camera.world_from_camera.inverse();

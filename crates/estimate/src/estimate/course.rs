@@ -339,7 +339,8 @@ fn patches(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Patches, Stopped> {
-    if !diagnose::leaves_much(&coarse.state) || watch.observer.enough() {
+    let is_provisional = solver.is_provisional();
+    if is_provisional || !diagnose::leaves_much(&coarse.state) || watch.observer.enough() {
         return Ok(Patches::None);
     }
     let Some(strengths) = solver.strengths(watch)? else {

@@ -97,6 +97,10 @@ pub const UNCONFIRMED: &str = "The photographs do not show that the surface is g
 pub const BY_SHADING: &str = "The lighting was taken from the shading alone, as if the texture were even: it is white on the \
     whole, and its strength is open. Lights may be wider and weaker or stronger than they were.";
 
+/// What is said where the light is what the diffuse part says of an object that turns before it.
+pub const BY_DIFFUSE: &str = "The lighting was taken from how the diffuse part changes as the object turns: it is white, and its strength is \
+    open. Small lights may be wider than they were.";
+
 /// Why diffuse and specular parts can't be told apart in this capture, if they can't.
 pub fn unseparable(capture: &Capture, observations: &Observations) -> Option<String> {
     let common = observations.points.len();

@@ -232,6 +232,13 @@ impl<'a> Solver<'a> {
 }
 
 impl Solver<'_> {
+    /// See [`Turning::is_provisional`].
+    pub fn is_provisional(&self) -> bool {
+        self.seen
+            .turning
+            .is_some_and(|turning| turning.is_provisional)
+    }
+
     /// Points for the coarsest cells; `scale` is the radiance that counts as 1, if it has been chosen already.
     pub fn coarse_observations(
         seen: &Seen<'_>,
@@ -394,7 +401,7 @@ impl Solver<'_> {
         // What a surface mirrors of itself makes parts look glossier, not fewer of them; and what is stated holds for all of it.
         let is_even = self.first.is_some_and(|first| first.parts.is_none());
         let is_stated = self.sigma.is_some();
-        let found = if rounds > 0 && !is_even && !is_stated {
+        let found = if rounds > 0 && !is_even && !is_stated && !self.is_provisional() {
             self.gloss_parts(&state, [gloss::WORTH])
         } else {
             None

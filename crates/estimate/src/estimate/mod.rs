@@ -384,10 +384,6 @@ fn begin(
     }
 }
 
-/// Rounds at most in which the lights found and the irradiance under them take turns, and the change of σ, relative, that ends them.
-const TURNTABLE_ROUNDS: usize = 3;
-const SAME_SIGMA: f32 = 2e-3;
-
 /// Runs a method where the light stands still with the camera; see [`turntable`].
 fn on_turntable(
     input: &EstimateInput<'_>,
@@ -398,75 +394,54 @@ fn on_turntable(
 ) -> Result<Estimate, Stopped> {
     let pyramid = Pyramid::new(input.grid, fast::COARSEST);
     let workspace = Workspace::new();
-    let mut turning = Turning {
-        motions,
-        irradiance: None,
-    };
     let (clock, stop) = (Instant::now(), watcher.stop());
     let with = (shortcuts, &workspace);
     let observer: &mut dyn Observer = &mut watcher;
     go_on(observer.progress("looking at the shading", 0.0))?;
-    let (irradiance, whole, nodes) = {
-        let solver = Solver::new(
-            input,
-            params.sigma,
-            &pyramid,
-            with,
-            Some(&turning),
-            clock,
-            stop,
-        );
+    let mut turning = Turning {
+        motions,
+        irradiance: None,
+        is_provisional: true,
+    };
+    let by_diffuse = {
+        let sigma = params.sigma;
+        let solver = Solver::new(input, sigma, &pyramid, with, Some(&turning), clock, stop);
         turntable::from_diffuse(&solver, input.occluder)
     };
-    turning.irradiance = Some(irradiance);
-    let mut found: Option<Estimate> = None;
-    for _ in 0..TURNTABLE_ROUNDS {
-        let start = Start {
-            clock,
-            convergence: found
-                .as_mut()
-                .map(|f| std::mem::take(&mut f.convergence))
-                .unwrap_or_default(),
-            ..Start::default()
-        };
-        let next = run(input, params, shortcuts, watcher, (start, Some(&turning)))?;
-        let Some(brdf) = next.brdf else {
-            found = Some(Estimate {
-                grid: whole,
-                radiance: nodes,
-                ..next
-            });
-            break;
-        };
-        let before = found
-            .as_ref()
-            .and_then(|f| f.brdf)
-            .map_or(0.0, |brdf| brdf.sigma);
+    turning.irradiance = Some(by_diffuse.irradiance);
+    let mut start = Start {
+        clock,
+        ..Start::default()
+    };
+    loop {
+        let mut found = run(input, params, shortcuts, watcher, (start, Some(&turning)))?;
+        if found.brdf.is_none() {
+            let said = diagnose::BY_DIFFUSE.to_owned();
+            found.diagnostics.warnings.push(said);
+            (found.grid, found.radiance) = (by_diffuse.grid, by_diffuse.nodes);
+            found.ambient_irradiance = Some(by_diffuse.ambient);
+            return Ok(found);
+        }
         let told = {
-            let solver = Solver::new(
-                input,
-                params.sigma,
-                &pyramid,
-                with,
-                Some(&turning),
-                clock,
-                stop,
-            );
-            turntable::from_lights(&solver, input.occluder, &next)
+            let sigma = found.brdf.map(|brdf| brdf.sigma);
+            let solver = Solver::new(input, sigma, &pyramid, with, Some(&turning), clock, stop);
+            turntable::from_lights(&solver, input.occluder, &found)
         };
-        found = Some(next);
         let Some((irradiance, ambient)) = told else {
-            break;
+            return Ok(found);
         };
-        if let Some(found) = &mut found {
+        if !turning.is_provisional {
             found.ambient_irradiance = Some(ambient);
+            return Ok(found);
         }
         turning.irradiance = Some(irradiance);
-        if (brdf.sigma / before.max(f32::MIN_POSITIVE) - 1.0).abs() < SAME_SIGMA {
-            break;
-        }
+        turning.is_provisional = false;
+        start = Start {
+            clock,
+            convergence: found.convergence,
+            ..Start::default()
+        };
     }
-    found.ok_or(Stopped)
 }
 
 fn run(

@@ -58,6 +58,8 @@ pub struct Turning<'a> {
     pub motions: Vec<Motion>,
     /// Its irradiance, once something is known of it.
     pub irradiance: Option<Irradiance<'a>>,
+    /// Whether that is only good enough to find lights by: where it is off, the surface seems to differ in gloss.
+    pub is_provisional: bool,
 }
 
 /// Irradiance of a surface where the lights stand still.
@@ -191,12 +193,20 @@ fn placed_rows(observations: &Observations) -> Vec<(&Point, &Row)> {
     rows.collect()
 }
 
-/// The irradiance that a capture's diffuse part tells, with the cells that it comes from and their radiance, in parts of the
-/// observations' scale under which the mean irradiance is 1.
-pub fn from_diffuse<'o>(
-    solver: &Solver<'_>,
-    occluder: &'o Occluder,
-) -> (Irradiance<'o>, HemisphereGrid, Vec<[f32; 3]>) {
+/// What a capture's diffuse part tells.
+pub struct ByDiffuse<'o> {
+    /// The irradiance.
+    pub irradiance: Irradiance<'o>,
+    /// Nodes all around …
+    pub grid: HemisphereGrid,
+    /// … and the radiance of each, RGB, in the capture's units, under which the albedo is one half in the mean.
+    pub nodes: Vec<[f32; 3]>,
+    /// Irradiance by light from everywhere in the same units, RGB; only where there is no other light.
+    pub ambient: Vec3,
+}
+
+/// The light that a capture's diffuse part tells.
+pub fn from_diffuse<'o>(solver: &Solver<'_>, occluder: &'o Occluder) -> ByDiffuse<'o> {
     let grid = solver.grid.to_whole();
     let pyramid = Pyramid::new(&grid, FREQUENCY);
     let observations = solver.colours(POINTS).to_gray();
@@ -232,8 +242,13 @@ pub fn from_diffuse<'o>(
     // The strength is open: the albedo is taken to be one half in the mean.
     let unit = f64::from(solver.coarse.scale) * shading.usual / MEAN_ALBEDO;
     let radiance: Vec<[f32; 3]> = x.iter().map(|&v| [(unit * v) as f32; 3]).collect();
-    let nodes = pyramid.to_nodes(&cells, &radiance);
-    (irradiance, grid, nodes)
+    let is_dark = x.iter().all(|&v| v == 0.0);
+    ByDiffuse {
+        irradiance,
+        nodes: pyramid.to_nodes(&cells, &radiance),
+        grid,
+        ambient: Vec3::splat(if is_dark { unit as f32 } else { 0.0 }),
+    }
 }
 
 /// The irradiance by lights that highlights tell, radiance per node of a grid, each as strong as the diffuse part says, with light

@@ -13,6 +13,8 @@ const DISTANCE: f64 = 4.0;
 const FILLED: f64 = 0.94;
 /// Elevations that input views take in turn, radians; several, so that highlights move both ways.
 const ELEVATIONS: [f32; 3] = [0.15, 0.75, 0.45];
+/// The one from which a turntable is looked at.
+const TURNTABLE_ELEVATION: f32 = 0.45;
 /// Every input view is off its place by up to this angle, radians.
 const JITTER: f32 = 0.06;
 /// Azimuth, as a part of the arc to either side, and elevation of the novel views.
@@ -65,8 +67,12 @@ impl Stand {
                 let jitter =
                     |k: u64| JITTER * (2.0 * random.uniform(2 * u64::from(i) + k) as f32 - 1.0);
                 let along = (i as f32 + 0.5) / self.views.count as f32 - 0.5;
-                let elevation = ELEVATIONS[i as usize % ELEVATIONS.len()];
-                self.camera([self.views.arc * along + jitter(0), elevation + jitter(1)])
+                let elevation = if self.views.turntable {
+                    TURNTABLE_ELEVATION
+                } else {
+                    ELEVATIONS[i as usize % ELEVATIONS.len()] + jitter(1)
+                };
+                self.camera([self.views.arc * along + jitter(0), elevation])
             })
             .collect()
     }
@@ -75,7 +81,14 @@ impl Stand {
     pub(super) fn novel(&self) -> Vec<Camera> {
         NOVEL
             .iter()
-            .map(|&[part, elevation]| self.camera([0.5 * self.views.arc * part, elevation]))
+            .map(|&[part, elevation]| {
+                let elevation = if self.views.turntable {
+                    TURNTABLE_ELEVATION
+                } else {
+                    elevation
+                };
+                self.camera([0.5 * self.views.arc * part, elevation])
+            })
             .collect()
     }
 

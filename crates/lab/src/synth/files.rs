@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::recipe::{Encode, Files, Mistake, Sensor};
 use super::sensor::Exposed;
 use rekindle_base::math::random::Random;
-use rekindle_capture::{Camera, camera_matrix};
+use rekindle_capture::{Camera, LightFrame, camera_matrix};
 use rekindle_relight::Picture;
 use rekindle_solution::write_rgba;
 
@@ -22,17 +22,24 @@ pub(super) struct Folder {
     /// How far below the capture's folder it is.
     depth: usize,
     light_distance: Option<f32>,
+    light_frame: LightFrame,
 }
 
 /// How one view is stated: all of its frame but the camera.
 pub(super) struct Frame(Value);
 
 impl Folder {
-    pub(super) fn new(path: &Path, depth: usize, light_distance: Option<f32>) -> Self {
+    pub(super) fn new(
+        path: &Path,
+        depth: usize,
+        light_distance: Option<f32>,
+        light_frame: LightFrame,
+    ) -> Self {
         Self {
             path: path.to_owned(),
             depth,
             light_distance,
+            light_frame,
         }
     }
 
@@ -84,6 +91,10 @@ impl Folder {
                 frame
             })
             .collect();
+        let mut hemisphere = json!({ "up": [0, 1, 0], "radius": self.light_distance });
+        if !self.light_frame.is_world() {
+            hemisphere["frame"] = json!(self.light_frame);
+        }
         let manifest = json!({
             "camera_model": "PINHOLE",
             "w": first.width,
@@ -93,7 +104,7 @@ impl Folder {
             "cx": first.centre.x,
             "cy": first.centre.y,
             "mesh_path": format!("{}mesh.obj", "../".repeat(self.depth)),
-            "light_hemisphere": { "up": [0, 1, 0], "radius": self.light_distance },
+            "light_hemisphere": hemisphere,
             "frames": frames,
         });
         write_json(&self.path.join("transforms.json"), &manifest)

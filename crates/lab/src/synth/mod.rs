@@ -42,7 +42,7 @@ use lamps::TrueLamp;
 use mesh_errors::stated_mesh;
 use rekindle_base::math::random::Random;
 use rekindle_base::staging::{DestinationError, Owned, Staging, cannot_write, check_owned};
-use rekindle_capture::Camera;
+use rekindle_capture::{Camera, LightFrame};
 use rekindle_relight::{Lighting, Picture};
 use rekindle_solution::{write_plain_obj, write_rgb};
 use scene::{TrueLight, TrueSurface};
@@ -216,20 +216,19 @@ impl<'a> Maker<'a> {
         truth: &Path,
         folder: &Path,
     ) -> Result<(), SynthError> {
-        let near = self.light_distance();
-        let set = |path: &Path, cameras: &[Camera], pictures: &[Picture], depth: usize| {
-            Folder::new(path, depth, near)
-                .write_clean(cameras, pictures)
+        let set = |to: Folder, cameras: &[Camera], pictures: &[Picture]| {
+            to.write_clean(cameras, pictures)
                 .map_err(cannot_write(folder))
         };
         let novel = self.stand.novel();
         let seen = self.take("taking novel views", lighting, &novel)?;
-        set(&truth.join("novel"), &novel, &seen, 2)?;
+        set(self.folder(&truth.join("novel"), 2), &novel, &seen)?;
         let relit = self.relit_cameras();
         for (light, lamps) in self.new_lights() {
             let lighting = self.surface.lamps(&lamps);
             let seen = self.take("relighting", &lighting, &relit)?;
-            set(&truth.join("relit").join(light), &relit, &seen, 3)?;
+            let path = truth.join("relit").join(light);
+            set(self.folder(&path, 3), &relit, &seen)?;
         }
         if let Some(lamp) = self.light.lamps().first() {
             let path = truth.join("relit/moved/edit.json");
@@ -245,8 +244,30 @@ impl<'a> Maker<'a> {
         cameras: &[Camera],
     ) -> Result<Vec<Picture>, SynthError> {
         let progress = &mut self.progress;
-        self.surface
-            .photographs(lighting, cameras, &mut |_| progress.picture(what))
+        let Some(first) = self.cameras.first().filter(|_| self.recipe.views.turntable) else {
+            return self
+                .surface
+                .photographs(lighting, cameras, &mut |_| progress.picture(what));
+        };
+        let before_first = first.world_from_camera.inverse();
+        let mut taken = Vec::with_capacity(cameras.len());
+        for camera in cameras {
+            let moved = lighting.moved(&(camera.world_from_camera * before_first));
+            let camera = std::slice::from_ref(camera);
+            let mut each = |_| progress.picture(what);
+            taken.extend(self.surface.photographs(&moved, camera, &mut each)?);
+        }
+        Ok(taken)
+    }
+
+    /// A folder of pictures some folders below the capture's.
+    fn folder(&self, path: &Path, depth: usize) -> Folder {
+        let frame = if self.recipe.views.turntable {
+            LightFrame::Camera
+        } else {
+            LightFrame::World
+        };
+        Folder::new(path, depth, self.light_distance(), frame)
     }
 
     /// The capture itself, and what of the truth belongs to its views.
@@ -272,7 +293,7 @@ impl<'a> Maker<'a> {
             mistake.misplace(&mut turned, true_mesh.centre().as_dvec3());
         }
         let times = random(recipe, Purpose::Times);
-        let folder = Folder::new(into, 0, self.light_distance());
+        let folder = self.folder(into, 0);
         let mut taken = Taken::new(&exposed, pictures);
         if let Some(mistake) = recipe.mistake {
             taken.spoil(mistake, mistakes);
@@ -285,7 +306,8 @@ impl<'a> Maker<'a> {
         if stated.is_some() {
             write_plain_obj(&truth.join("mesh.obj"), true_mesh)?;
         }
-        Folder::new(&truth, 1, self.light_distance()).write_split(&self.cameras, pictures)?;
+        self.folder(&truth, 1)
+            .write_split(&self.cameras, pictures)?;
         let (width, environment) = environment::picture(&self.light, recipe.views.scale);
         write_rgb(&truth.join("environment.exr"), width, &environment)?;
         let centre = true_mesh.centre();

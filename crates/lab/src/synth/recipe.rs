@@ -129,6 +129,8 @@ pub struct Views {
     pub supersampling: u32,
     /// Factor of all radiances.
     pub scale: f32,
+    /// Whether the object turns before one camera, with which the light stands still; lamps are as they are at the first view then.
+    pub turntable: bool,
 }
 
 /// What a sensor does to a photograph, in this order.
@@ -270,6 +272,7 @@ impl Default for Recipe {
                 size: [640, 480],
                 supersampling: 2,
                 scale: 1.0,
+                turntable: false,
             },
             sensor: Sensor {
                 noise: 0.0,

@@ -22,6 +22,7 @@ pub(super) fn describe(name: &str, recipe: &Recipe, lamps: &[TrueLamp], centre: 
         "environment": { "file": "environment.exr", "mapping": MAPPING },
         "interreflections": recipe.interreflection,
         "shadows": true,
+        "turntable": recipe.views.turntable.then_some("the light stands still with the camera; lights are as at the first view"),
         "noise": (sensor.noise > 0.0).then(|| json!({
             "deviation_at_mean": sensor.noise,
             "model": "var = deviation_at_mean^2 * I * mean I of the object, inputs only; truth images are clean",
