@@ -65,6 +65,7 @@ fn run(arguments: &[String]) -> anyhow::Result<()> {
             estimate: EstimateParams::default(),
             frequency: 70,
             radius: None,
+            light_frame: None,
         };
         solve(&capture, &options, 0.0, &mut Unobserved)
             .map_err(|_| anyhow!("the solve was stopped"))?

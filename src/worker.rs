@@ -668,18 +668,22 @@ impl Bench {
                 options,
                 light,
                 load_s,
-            } => Ok(
-                match solve_under(
+            } => {
+                if let Some(light) = &light {
+                    light.check(&capture, &options)?;
+                }
+                let solved = solve_under(
                     &capture.reduced(),
                     &options,
                     light.as_ref(),
                     load_s,
                     &mut shown,
-                ) {
+                );
+                Ok(match solved {
                     Ok(solution) => Event::Solved(Arc::new(solution)),
                     Err(Stopped) => Event::Stopped,
-                },
-            ),
+                })
+            }
             Command::Task { work, .. } => {
                 let tell = &mut |stage: &str, fraction: f32| shown.progress(stage, fraction);
                 work(tell, &|| job.control.stopped())?;

@@ -18,7 +18,7 @@ use super::settings::Estimation;
 use super::theme::Mark;
 use super::{Request, Shared, exposures, theme};
 use crate::worker::{OpenedCapture, Source, Worker};
-use rekindle_capture::Capture;
+use rekindle_capture::{Capture, LightFrame};
 use rekindle_estimate::align::{Alignment, MarkedPoint};
 use rekindle_estimate::estimate::{Method, STATED_ROUGHNESS};
 use rekindle_estimate::preflight::{Finding, Severity, Thumbnail};
@@ -319,6 +319,10 @@ impl CapturePage {
             ),
             ("Triangles", grouped(report.mesh.triangles)),
             ("Lights", radius),
+            (
+                "Lights still with",
+                still_with(report.light_frame).to_owned(),
+            ),
             ("Seen by 3 or more", format!("{more:.1} %")),
             ("Seen by 2", format!("{two:.1} %")),
             ("Seen by 1", format!("{one:.1} %")),
@@ -577,6 +581,18 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
             }
         });
         ui.end_row();
+        let label = ui.label("Lights still with");
+        egui::ComboBox::from_id_salt("light_frame")
+            .selected_text(frame_name(settings.light_frame))
+            .show_ui(ui, |ui| {
+                for frame in [None, Some(LightFrame::World), Some(LightFrame::Camera)] {
+                    ui.selectable_value(&mut settings.light_frame, frame, frame_name(frame));
+                }
+            })
+            .response
+            .labelled_by(label.id)
+            .on_hover_text("What the lights stood still with: the object, where the camera went around it, or the camera, where the object turned before it on a turntable");
+        ui.end_row();
         ui.label("Views");
         ui.checkbox(&mut settings.as_stated, "Trust cameras and exposures").on_hover_text(
             "Take cameras and exposures as the capture states them. Otherwise cameras are turned until the outlines fit, \
@@ -591,6 +607,18 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
     let tip = "Back to the settings that suit most captures";
     if reset.on_hover_text(tip).clicked() {
         *settings = Estimation::default();
+    }
+}
+
+/// A choice of what the lights stand still with.
+fn frame_name(frame: Option<LightFrame>) -> &'static str {
+    frame.map_or("What the capture says", still_with)
+}
+
+fn still_with(frame: LightFrame) -> &'static str {
+    match frame {
+        LightFrame::World => "The object",
+        LightFrame::Camera => "The camera (turntable)",
     }
 }
 

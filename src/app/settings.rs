@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::navigation::Habit;
 use super::relight::Question;
+use rekindle_capture::LightFrame;
 use rekindle_estimate::estimate::{EstimateParams, Method, SpecularChoice};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_solution::SolveOptions;
@@ -52,6 +53,8 @@ pub struct Estimation {
     pub frequency: u32,
     /// Distance of the lights in place of the capture's.
     pub radius: Option<f32>,
+    /// What the lights stand still with in place of what the capture says.
+    pub light_frame: Option<LightFrame>,
     /// Whether cameras and exposures are taken as the capture states them.
     pub as_stated: bool,
 }
@@ -92,6 +95,7 @@ impl Default for Estimation {
             roughness: None,
             frequency: 70,
             radius: None,
+            light_frame: None,
             as_stated: false,
         }
     }
@@ -137,6 +141,7 @@ impl Estimation {
             },
             frequency: self.frequency,
             radius: self.radius,
+            light_frame: self.light_frame,
         }
     }
 }

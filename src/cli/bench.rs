@@ -93,6 +93,7 @@ fn predict(args: &BenchArgs, output: OutputArgs) -> anyhow::Result<()> {
         estimate: EstimateParams::default(),
         frequency: args.frequency,
         radius: None,
+        light_frame: None,
     };
     let mut progress = Progress::new(output);
     let predicted = match leave_one_out(&args.captures, &options, &mut progress) {

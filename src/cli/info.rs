@@ -3,7 +3,7 @@
 use super::print_report;
 use anyhow::Context as _;
 use rekindle_base::text::printable;
-use rekindle_capture::Capture;
+use rekindle_capture::{Capture, LightFrame};
 use rekindle_estimate::preflight::{Finding, MeshReport, Report, Severity, ViewReport};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -29,7 +29,14 @@ fn text(report: &Report) -> String {
     let radius = report
         .radius
         .map_or("distant".to_owned(), |radius| format!("radius {radius}"));
-    let _ = writeln!(out, "lights    {radius}, up [{x:.4}, {y:.4}, {z:.4}]");
+    let turning = match report.light_frame {
+        LightFrame::World => "",
+        LightFrame::Camera => ", still with the camera (turntable)",
+    };
+    let _ = writeln!(
+        out,
+        "lights    {radius}, up [{x:.4}, {y:.4}, {z:.4}]{turning}"
+    );
     out.push_str(&mesh_text(&report.mesh));
     let [none, one, two, more] = report.seen_by.map(|share| 100.0 * share);
     let _ = writeln!(

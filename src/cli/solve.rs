@@ -12,7 +12,7 @@ use super::progress::Progress;
 use super::{OutputArgs, print_json, print_line};
 use rekindle_base::memory::peak;
 use rekindle_base::staging::check_holds_no_input;
-use rekindle_capture::{Capture, input_files};
+use rekindle_capture::{Capture, LightFrame, input_files};
 use rekindle_estimate::estimate::{
     EstimateParams, Iteration, Method, Observer, STATED_ROUGHNESS, SpecularChoice,
 };
@@ -84,6 +84,9 @@ pub(super) struct EstimationArgs {
     /// Distance of the lights from the object's centre, in mesh units (default: what the capture states, or distant)
     #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     radius: Option<f32>,
+    /// What the lights stand still with (default: what the capture states, or the object)
+    #[arg(long, value_enum)]
+    light_frame: Option<LightFrameArg>,
     /// Take cameras and exposures as stated, even where outlines and radiances do not fit
     #[arg(long)]
     as_stated: bool,
@@ -128,6 +131,23 @@ impl ShortcutArg {
             Self::Views => Shortcut::Views,
             Self::Pixels | Self::Unchanged => return None,
         })
+    }
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum LightFrameArg {
+    /// The object: cameras went around it
+    World,
+    /// The camera: the object turned before it, as on a turntable
+    Camera,
+}
+
+impl LightFrameArg {
+    fn frame(self) -> LightFrame {
+        match self {
+            Self::World => LightFrame::World,
+            Self::Camera => LightFrame::Camera,
+        }
     }
 }
 
@@ -178,6 +198,7 @@ impl Default for EstimationArgs {
             roughness: None,
             frequency: 70,
             radius: None,
+            light_frame: None,
             as_stated: false,
             do_all: Vec::new(),
         }
@@ -223,6 +244,7 @@ impl EstimationArgs {
             },
             frequency: self.frequency,
             radius: self.radius,
+            light_frame: self.light_frame.map(LightFrameArg::frame),
         }
     }
 }
@@ -295,6 +317,9 @@ pub(super) fn run(args: &SolveArgs, output: OutputArgs) -> anyhow::Result<()> {
         progress.finish();
         report(args, output, &solution, solution.timings.clone(), true);
         return Ok(());
+    }
+    if let Some(light) = &light {
+        light.check(&capture, &args.options.options())?;
     }
     let solution = solve_capture(
         &capture,

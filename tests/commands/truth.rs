@@ -259,6 +259,7 @@ fn lamps_of_two(folder: &Path, change: impl FnOnce(&mut Lamps)) -> Vec<SolutionL
         estimate: EstimateParams::default(),
         frequency: 70,
         radius: None,
+        light_frame: None,
     };
     let solution = solve(&capture, &options, 0.0, &mut Unobserved).unwrap();
     solution.lamps
@@ -294,6 +295,7 @@ fn solve_without(avoided: &[Shortcut], capture: &Capture) -> Solution {
         },
         frequency: 14,
         radius: None,
+        light_frame: None,
     };
     solve(capture, &options, 0.0, &mut Unobserved).unwrap()
 }

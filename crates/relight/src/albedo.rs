@@ -120,15 +120,8 @@ pub fn separate(
     }
 }
 
-/// The albedo of a `texture` that is of it, as views under a light of their own make it, with what is unknown filled. The texture
-/// becomes that of the diffuse radiance under the light of one view.
-pub fn light_texture(
-    scene: &Scene,
-    atlas: &Atlas,
-    light: &ViewLight,
-    texture: &mut DiffuseTexture,
-) -> Vec<[f32; 3]> {
-    let irradiance = texel_irradiance(scene, atlas, &light.shader, &light.seen);
+/// The albedo of a texture that is of it, as views under a light of their own make it, with what is unknown filled.
+pub fn filled_albedo(scene: &Scene, atlas: &Atlas, texture: &DiffuseTexture) -> Vec<[f32; 3]> {
     let mut albedo: Vec<Vec3> = texture.radiance.iter().map(|&a| a.into()).collect();
     let is_known = |&confidence: &f32| if confidence < SEEN { 0.0 } else { 1.0 };
     let known: Vec<f32> = texture.confidence.iter().map(is_known).collect();
@@ -140,12 +133,25 @@ pub fn light_texture(
         &known,
         &texture.confidence,
     );
+    albedo.iter().map(Vec3::to_array).collect()
+}
+
+/// Makes a texture of albedo that of the diffuse radiance under the light of one view; `albedo` is the same without gaps.
+pub fn light_texture(
+    scene: &Scene,
+    atlas: &Atlas,
+    light: &ViewLight,
+    albedo: &[[f32; 3]],
+    texture: &mut DiffuseTexture,
+) {
+    let irradiance = light.irradiance(scene, atlas);
     for texel in &atlas.texels {
         let t = texel.index as usize;
-        texture.radiance[t] = (albedo[t] * irradiance[t]).to_array();
-        texture.confidence[t] *= known[t];
+        texture.radiance[t] = (Vec3::from(albedo[t]) * irradiance[t]).to_array();
+        if texture.confidence[t] < SEEN {
+            texture.confidence[t] = 0.0;
+        }
     }
-    albedo.iter().map(Vec3::to_array).collect()
 }
 
 /// Fills an albedo from its surroundings as far as it isn't known, 0 to 1; what is known counts by its confidence.

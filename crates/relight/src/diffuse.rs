@@ -17,6 +17,7 @@ use super::best_views::BestViews;
 use super::footprints::{Canvas, Footprints, Pixel, Tap};
 use super::irradiance::texel_irradiance;
 use super::measure::psnr;
+use super::reflection::Surroundings;
 use super::render::{Scene, specular_tiles};
 use super::samples::{Samples, bands};
 use super::shading::Shader;
@@ -24,7 +25,7 @@ use super::triangle_shares::TriangleShares;
 use rekindle_capture::{Mesh, View};
 use rekindle_scene::hemisphere;
 use rekindle_scene::shortcuts::{Shortcut, Shortcuts};
-use rekindle_scene::surface::{Atlas, NO_TRIANGLE, ViewSurface};
+use rekindle_scene::surface::{Atlas, NO_TRIANGLE, Texel, ViewSurface};
 
 /// Sub-samples of all views together: the more pixels, the fewer each has.
 const MAX_SAMPLES: usize = 24 << 20;
@@ -78,6 +79,8 @@ pub struct ViewLight<'a> {
     pub shader: Shader<'a>,
     /// What triangles see of it.
     pub seen: TriangleShares,
+    /// The surface as it lights itself under this light, where that differs from view to view and is known.
+    pub surroundings: Option<&'a Surroundings<'a>>,
 }
 
 impl<'a> ViewLight<'a> {
@@ -86,7 +89,23 @@ impl<'a> ViewLight<'a> {
         Self {
             seen: TriangleShares::new(mesh, atlas, &shader),
             shader,
+            surroundings: None,
         }
+    }
+
+    /// Irradiance of every texel.
+    pub(super) fn irradiance(&self, scene: &Scene, atlas: &Atlas) -> Vec<Vec3> {
+        let mut irradiance = texel_irradiance(scene, atlas, &self.shader, &self.seen);
+        if let Some(surroundings) = self.surroundings {
+            let added = |texel: &Texel| {
+                surroundings.irradiance(scene.mesh, texel.triangle, texel.barycentric)
+            };
+            let added: Vec<Vec3> = atlas.texels.par_iter().map(added).collect();
+            for (texel, added) in atlas.texels.iter().zip(added) {
+                irradiance[texel.index as usize] += added;
+            }
+        }
+        irradiance
     }
 }
 
@@ -238,7 +257,7 @@ fn typical_radiance(views: &[View]) -> f32 {
 
 /// What footprints are traced with.
 struct Tracer<'a> {
-    scene: &'a Scene<'a>,
+    scene: Scene<'a>,
     atlas: &'a Atlas,
     shader: &'a Shader<'a>,
     /// What triangles see of the light.
@@ -260,20 +279,23 @@ impl<'a> Tracer<'a> {
         view: usize,
         (factor, typical): (u32, f32),
     ) -> Self {
-        let ViewLight { shader, seen } = light.of(view);
+        let own = light.of(view);
         let irradiance = match light {
             LightOfViews::Same(_) => None,
             LightOfViews::Each(_) => {
-                let of_texels = texel_irradiance(scene, atlas, shader, seen);
+                let of_texels = own.irradiance(scene, atlas);
                 let usual = typical_irradiance(atlas, &of_texels);
                 Some((of_texels.iter().map(Vec3::to_array).collect(), usual))
             }
         };
         Self {
-            scene,
+            scene: Scene {
+                surroundings: own.surroundings.or(scene.surroundings),
+                ..*scene
+            },
             atlas,
-            shader,
-            seen,
+            shader: &own.shader,
+            seen: &own.seen,
             factor,
             typical,
             irradiance,
@@ -285,7 +307,7 @@ impl<'a> Tracer<'a> {
         let Some((of_texels, usual)) = &self.irradiance else {
             return (None, 1.0);
         };
-        let irradiance = Vec3::from(self.atlas.sample(of_texels, triangle, barycentric));
+        let irradiance = self.atlas.sample(of_texels, triangle, barycentric);
         let part = irradiance.element_sum() / 3.0 / usual;
         // What hardly arrives can't be divided by.
         let least = (DIM_CHANNEL * irradiance.max_element()).max(DIM_CHANNEL * DIM_CHANNEL * usual);
@@ -303,7 +325,7 @@ impl<'a> Tracer<'a> {
         triangles: Option<&[u32]>,
         serves: &(dyn Fn(u32) -> bool + Sync),
     ) -> Footprints {
-        let (scene, atlas, factor) = (self.scene, self.atlas, self.factor);
+        let (scene, atlas, factor) = (&self.scene, self.atlas, self.factor);
         let (camera, photograph) = (&view.camera, &view.photograph);
         let size = [atlas.width as usize, atlas.height as usize];
         let eye = camera.position().as_vec3();

@@ -66,14 +66,14 @@ struct Hit {
 pub struct Field<'a> {
     lattice: &'a Lattice,
     /// One per place of the lattice.
-    irradiance: Vec<Vec3>,
+    pub(super) irradiance: Vec<Vec3>,
 }
 
 /// The surface under new light.
 pub struct Relit<'a> {
     /// Irradiance by interreflection.
     pub indirect: Field<'a>,
-    /// All irradiance, direct light with the resolution of the gather points.
+    /// All irradiance that the albedo is multiplied by, direct light with the resolution of the gather points.
     pub total: Field<'a>,
 }
 
@@ -156,37 +156,66 @@ impl Interreflection {
         atlas: &Atlas,
         albedo: &[[f32; 3]],
     ) -> Relit<'_> {
-        let direct: Vec<Vec3> = self
-            .clusters
-            .gather
-            .par_iter()
-            .map(|point| {
-                let seen: Vec<Visibility> = (0..shader.groups())
-                    .map(|g| shader.cast(point, g))
-                    .collect();
-                shader.irradiance(point, &seen)
-            })
-            .collect();
-        // What each hit passes on of the irradiance at its own gather point.
-        let passed: Vec<(u32, Vec3)> = self
-            .hits
-            .par_iter()
-            .map(|h| {
-                let gather = self.gather_point(mesh, h.triangle, h.barycentric);
-                let albedo = atlas.sample(albedo, h.triangle, h.barycentric);
-                (gather as u32, albedo * h.weight)
-            })
-            .collect();
-        let rows: Vec<&[(u32, Vec3)]> = (0..direct.len())
-            .map(|i| &passed[self.starts[i] as usize..self.starts[i + 1] as usize])
-            .collect();
-        let indirect = bounce(&direct, &rows);
+        let direct = self.direct(shader);
+        let passed = self.passed(mesh, atlas, albedo);
+        let indirect = bounce(&direct, &self.rows(&passed));
         let total: Vec<Vec3> = direct.iter().zip(&indirect).map(|(&d, &i)| d + i).collect();
         let places = self.lattice.points(mesh);
         Relit {
             indirect: self.spread(&places, &indirect),
             total: self.spread(&places, &total),
         }
+    }
+
+    /// Irradiance under the light of `shader` where the surface's diffuse radiance is known as so many times its direct irradiance: what
+    /// it sends itself is in that factor, so the light bounces no more than once.
+    pub fn of_pictured(
+        &self,
+        mesh: &Mesh,
+        shader: &Shader,
+        atlas: &Atlas,
+        factor: &[[f32; 3]],
+    ) -> Relit<'_> {
+        let direct = self.direct(shader);
+        let passed = self.passed(mesh, atlas, factor);
+        let gather = |row: &&[(u32, Vec3)]| {
+            let sent = row
+                .iter()
+                .map(|&(from, share)| share * direct[from as usize]);
+            sent.sum()
+        };
+        let indirect: Vec<Vec3> = self.rows(&passed).par_iter().map(gather).collect();
+        let places = self.lattice.points(mesh);
+        Relit {
+            indirect: self.spread(&places, &indirect),
+            total: self.spread(&places, &direct),
+        }
+    }
+
+    /// Direct irradiance of the gather points.
+    fn direct(&self, shader: &Shader) -> Vec<Vec3> {
+        let at = |point: &ShadingPoint| {
+            let groups = 0..shader.groups();
+            let seen: Vec<Visibility> = groups.map(|g| shader.cast(point, g)).collect();
+            shader.irradiance(point, &seen)
+        };
+        self.clusters.gather.par_iter().map(at).collect()
+    }
+
+    /// What each hit passes on of the irradiance at its own gather point.
+    fn passed(&self, mesh: &Mesh, atlas: &Atlas, albedo: &[[f32; 3]]) -> Vec<(u32, Vec3)> {
+        let pass = |hit: &Hit| {
+            let gather = self.gather_point(mesh, hit.triangle, hit.barycentric);
+            let albedo = atlas.sample(albedo, hit.triangle, hit.barycentric);
+            (gather as u32, albedo * hit.weight)
+        };
+        self.hits.par_iter().map(pass).collect()
+    }
+
+    /// Values of the hits, those of each gather point together.
+    fn rows<'v, T>(&self, of_hits: &'v [T]) -> Vec<&'v [T]> {
+        let row = |ends: &[u32]| &of_hits[ends[0] as usize..ends[1] as usize];
+        self.starts.windows(2).map(row).collect()
     }
 
     /// Whether any surface can be seen from near a point of the mesh.

@@ -34,7 +34,7 @@ mod shading;
 mod triangle_shares;
 mod view_transform;
 
-pub use albedo::{Albedo, Ambient, light_texture, separate};
+pub use albedo::{Albedo, Ambient, filled_albedo, light_texture, separate};
 pub use diffuse::{DiffuseTexture, LightOfViews, ViewFit, ViewLight, reconstruct, srgb};
 pub use edits::{Edit, EditError, apply, load};
 pub use environment::LatLong;

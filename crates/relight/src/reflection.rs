@@ -12,7 +12,7 @@ use std::sync::OnceLock;
 use glam::{Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::interreflection::{Interreflection, Relit, exit_cosine};
+use super::interreflection::{Field, Interreflection, Relit, exit_cosine};
 use super::render::Scene;
 use super::shading::{Shader, ShadingPoint};
 use rekindle_base::math::GOLDEN_ANGLE;
@@ -142,6 +142,45 @@ impl<'a> Surroundings<'a> {
             relit,
             shares: shares.map(|_| OnceLock::new()).collect(),
         }
+    }
+
+    /// The surface as pictures under the light of `shader` show it: its diffuse radiance towards normal incidence is so many times
+    /// its direct irradiance.
+    pub fn pictured(
+        interreflection: &'a Interreflection,
+        (mesh, atlas): (&Mesh, &'a Atlas),
+        shader: &Shader,
+        factor: &'a [[f32; 3]],
+    ) -> Self {
+        let relit = interreflection.of_pictured(mesh, shader, atlas, factor);
+        Self::new(interreflection, Some((atlas, factor)), Some(relit))
+    }
+
+    /// Irradiance that the surface has from itself over the other, over all of it; nothing where no new light is known.
+    pub fn indirect_part(&self) -> f32 {
+        let sum = |field: &Field| {
+            f64::from(
+                field
+                    .irradiance
+                    .iter()
+                    .map(|e| e.element_sum())
+                    .sum::<f32>(),
+            )
+        };
+        let part = |relit: &Relit| sum(&relit.indirect) / sum(&relit.total).max(f64::MIN_POSITIVE);
+        self.relit.as_ref().map_or(0.0, |relit| part(relit) as f32)
+    }
+
+    /// Irradiance at a place, from elsewhere and from the surface itself, where new light is known.
+    pub fn direct_and_indirect(
+        &self,
+        mesh: &Mesh,
+        (triangle, barycentric): (u32, Vec2),
+    ) -> [Vec3; 2] {
+        let Some(relit) = &self.relit else {
+            return [Vec3::ZERO; 2];
+        };
+        [&relit.total, &relit.indirect].map(|field| field.at(mesh, triangle, barycentric))
     }
 
     /// Specular radiance that a place of the surface sends in the unit direction `view`, in light that it sees as the gather point

@@ -64,6 +64,15 @@ pub enum SolutionError {
         /// What is wrong.
         what: String,
     },
+    /// A light is given for a capture whose light turns before the object.
+    #[error(
+        "{capture}: a given light is that of a place around the object, but this capture's lights stand still with the camera, as on a \
+         turntable; leave the given light out, or say that they stand still with the object (light frame \"world\")"
+    )]
+    LightTurns {
+        /// The capture's name.
+        capture: String,
+    },
     /// It can't be put where it is wanted.
     #[error(transparent)]
     Destination(#[from] DestinationError),

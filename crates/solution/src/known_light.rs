@@ -8,8 +8,8 @@ use std::sync::Arc;
 use glam::{Quat, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 
-use super::Solution;
-use rekindle_capture::CaptureError;
+use super::{Solution, SolutionError, SolveOptions};
+use rekindle_capture::{Capture, CaptureError, LightFrame};
 use rekindle_relight::LatLong;
 use rekindle_scene::hemisphere::{HemisphereGrid, Picture, lat_long_from_direction};
 use rekindle_scene::reflectance::Brdf;
@@ -30,6 +30,17 @@ pub struct LightProbe {
 }
 
 impl LightProbe {
+    /// Refuses captures whose lights stand still with the camera: the picture is of a place around the object.
+    pub fn check(&self, capture: &Capture, options: &SolveOptions) -> Result<(), SolutionError> {
+        let stated = capture.light_hemisphere.frame;
+        match options.light_frame.unwrap_or(stated) {
+            LightFrame::World => Ok(()),
+            LightFrame::Camera => Err(SolutionError::LightTurns {
+                capture: capture.name.clone(),
+            }),
+        }
+    }
+
     /// Reads a picture; `turn` is in radians.
     pub fn load(path: &Path, turn: Option<f32>) -> Result<Self, CaptureError> {
         let name = path.file_name().unwrap_or(path.as_os_str());

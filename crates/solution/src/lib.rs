@@ -18,7 +18,7 @@
 //! use rekindle_solution::{SolveOptions, solve};
 //!
 //! let capture = Capture::load("capture".as_ref())?;
-//! let options = SolveOptions { estimate: EstimateParams::default(), frequency: 70, radius: None };
+//! let options = SolveOptions { estimate: EstimateParams::default(), frequency: 70, radius: None, light_frame: None };
 //! let solution = solve(&capture, &options, 0.0, &mut Unobserved)?;
 //! solution.save("solution".as_ref())?;
 //! # Ok(())
@@ -36,6 +36,7 @@ mod mirrored;
 mod origin;
 mod placed;
 mod solve;
+mod turntable;
 
 pub use diffuse_alone::diffuse_alone;
 pub use error::SolutionError;

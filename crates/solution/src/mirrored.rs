@@ -46,7 +46,7 @@ pub fn without_mirrored(
         surroundings: Some(&surroundings),
     };
     // Rays of pixels beside each other complete each other in a picture, but here each place is alone.
-    let mirrored = |place, view, number: u32| {
+    let mirrored = |place, (_, view), number: u32| {
         let turns = (0..TURNS).map(|turn| number as usize + turn);
         let of_turn = |turn| surroundings.reflected(&scene, &shader, place, (view, turn));
         (turns.map(of_turn).sum::<Vec3>() / TURNS as f32).into()

@@ -8,12 +8,13 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::mirrored::without_mirrored;
+use super::turntable;
 use super::{
     Fit, HemispherePicture, KnownLight, LightProbe, Skipped, Solution, SolutionLamp, lighting,
     origin,
 };
 use rekindle_base::math::rounding::round_to_halves;
-use rekindle_capture::{Camera, Capture, Mesh, View};
+use rekindle_capture::{Camera, Capture, LightFrame, Mesh, View};
 use rekindle_estimate::estimate::{
     Diagnostics, Estimate, EstimateInput, EstimateParams, GivenLight, Interim, Iteration, Observer,
     Stopped, bears_out, estimate, estimate_under, watched,
@@ -24,7 +25,7 @@ use rekindle_estimate::registration::{
 };
 use rekindle_relight::{
     Albedo, Ambient, DiffuseTexture, GlossMap, Interreflection, LightOfViews, Lighting, Scene,
-    Shader, Surroundings, ViewFit, ViewLight, ambient_gain, light_texture, reconstruct, separate,
+    Shader, Surroundings, ViewFit, ViewLight, filled_albedo, light_texture, reconstruct, separate,
 };
 use rekindle_scene::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
@@ -64,6 +65,8 @@ pub struct SolveOptions {
     pub frequency: u32,
     /// Distance of the lights in place of the one that the capture states.
     pub radius: Option<f32>,
+    /// What the lights stand still with, in place of what the capture states.
+    pub light_frame: Option<LightFrame>,
 }
 
 /// Passes an estimation's progress on as a part of the whole.
@@ -132,7 +135,8 @@ pub fn solve_under(
     };
     let mut measured = Measured::new(&stated.mesh, &stated.views, observer, SURFACE)?;
     let given = stated;
-    let (stated, outlined) = within_outlines(given, &measured.surfaces);
+    let framed = framed(given, options);
+    let (stated, outlined) = within_outlines(&framed, &measured.surfaces);
     let stated = stated.as_ref();
     let grid = hemisphere(stated, options, light);
     let (mut capture, mut corrections) = if options.estimate.as_stated {
@@ -169,26 +173,45 @@ pub fn solve_under(
         found = without_mirrored(&input, &options.estimate, found, &mut Part { observer })?;
     }
     let mesh = &capture.mesh;
-    clock.lap("estimate");
-
-    let lamps = name_lamps(&found, known_light.is_some());
-    let lobe = (found.brdf, known_light.as_ref());
-    let ambient = found.ambient_irradiance.unwrap_or(Vec3::ZERO) / ambient_gain(found.brdf);
-    let lit = lighting(&found.grid, &found.radiance, &lamps, ambient, lobe);
     let shortcuts = Shortcuts::without(options.estimate.avoided);
-    let sight = Sight {
+    let sight = |surfaces| Sight {
         mesh,
-        surfaces: std::mem::take(&mut measured.surfaces),
+        surfaces,
         measured: &measured,
         views: &capture.views,
         shortcuts: &shortcuts,
     };
+    let around =
+        (motions.as_ref()).and_then(|_| Interreflection::new(mesh, &measured.occluder, found.brdf));
+    let mut pictured = Vec::new();
+    let mut sent = Vec::new();
+    if let Some((motions, around)) = motions.as_ref().zip(around.as_ref()) {
+        let lightings = turntable::lightings(&found, motions);
+        let gloss = gloss(&found, mesh, &measured.atlas, &minimum);
+        let lobe = (found.brdf, gloss.as_ref());
+        let own = sight(measured.surfaces.clone());
+        pictured = turntable::pictured(own, lobe, &lightings, observer)?;
+        let own = sight(Vec::new());
+        sent = turntable::surroundings(around, &own, found.brdf, &lightings, &pictured);
+        let input = measured.input(&capture, &grid);
+        let with = (&own, &sent[..], &lightings[..]);
+        let part = &mut Part { observer };
+        found = turntable::without_sent(&input, &options.estimate, found, with, &pictured, part)?;
+    }
+    clock.lap("estimate");
+
+    let lamps = name_lamps(&found, known_light.is_some());
     let gloss = gloss(&found, mesh, &measured.atlas, &minimum);
     let lobe = (found.brdf, gloss.as_ref());
     let lit = match &motions {
-        Some(motions) => Light::Turning(motions.iter().map(|m| lit.moved(&m.inverse())).collect()),
-        None => Light::Still(lit, Ambient::beside(light.is_some())),
+        Some(motions) => Light::Turning(turntable::lightings(&found, motions), &sent),
+        None => {
+            let lobe = (found.brdf, known_light.as_ref());
+            let lit = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, lobe);
+            Light::Still(lit, Ambient::beside(light.is_some()))
+        }
     };
+    let sight = sight(measured.surfaces.clone());
     let (mut texture, albedo) = textures(sight, lobe, lit, &minimum, &mut clock, observer)?;
     let atlas = measured.atlas;
 
@@ -234,6 +257,16 @@ pub fn solve_under(
         gloss,
         pictures,
     })
+}
+
+/// The capture with lights that stand still with what the options say.
+fn framed<'c>(capture: &'c Capture, options: &SolveOptions) -> Cow<'c, Capture> {
+    let mut framed = Cow::Borrowed(capture);
+    let stated = capture.light_hemisphere.frame;
+    if let Some(frame) = options.light_frame.filter(|&frame| frame != stated) {
+        framed.to_mut().light_hemisphere.frame = frame;
+    }
+    framed
 }
 
 /// The diagnostics with what was said before them; a mesh has to lie where photographs show it.
@@ -282,28 +315,32 @@ fn gloss(
 }
 
 /// The light that views were taken under.
-enum Light {
+enum Light<'a> {
     /// The same for all.
     Still(Lighting, Ambient),
-    /// One for each.
-    Turning(Vec<Lighting>),
+    /// One for each, with the surface as it lights itself, where that is known.
+    Turning(Vec<Lighting>, &'a [Surroundings<'a>]),
 }
 
 /// What textures are made of.
-struct Sight<'a> {
-    mesh: &'a Mesh,
-    measured: &'a Measured,
-    views: &'a [View],
+pub struct Sight<'a> {
+    /// The surface.
+    pub mesh: &'a Mesh,
+    /// What was measured of it.
+    pub measured: &'a Measured,
+    /// The photographs.
+    pub views: &'a [View],
     /// What each view sees.
-    surfaces: Vec<ViewSurface>,
-    shortcuts: &'a Shortcuts,
+    pub surfaces: Vec<ViewSurface>,
+    /// What may be left out.
+    pub shortcuts: &'a Shortcuts,
 }
 
 /// The diffuse texture and the pseudo-albedo of what the views see, under the light that was found.
 fn textures(
     sight: Sight<'_>,
     (brdf, gloss): (Option<Brdf>, Option<&GlossTexture>),
-    light: Light,
+    light: Light<'_>,
     minimum: &MinimumTexture,
     clock: &mut Clock,
     observer: &mut dyn Observer,
@@ -321,15 +358,16 @@ fn textures(
         let stop = watcher.stop();
         let mut observer = watcher;
         report(&mut observer, TEXTURE)?;
-        let interreflection = Interreflection::new(mesh, occluder, brdf);
+        // What is sent there differs from view to view where the light does.
+        let interreflection = match &light {
+            Light::Still(..) => Interreflection::new(mesh, occluder, brdf),
+            Light::Turning(..) => None,
+        };
         // What a dielectric mirrors of itself is small: the first guess at its texture will do. A metal's is its highlights.
         let is_metal = brdf.is_some_and(|brdf| brdf.model == SpecularModel::Metal);
         let guess = (!is_metal).then_some((atlas, &minimum.radiance[..]));
-        // What is sent there differs from view to view where the light does.
-        let around = interreflection
-            .as_ref()
-            .filter(|_| matches!(light, Light::Still(..)));
-        let surroundings = around.map(|around| Surroundings::new(around, guess, None));
+        let surroundings =
+            (interreflection.as_ref()).map(|around| Surroundings::new(around, guess, None));
         let scene = Scene {
             mesh,
             occluder,
@@ -341,29 +379,37 @@ fn textures(
             let shader = Shader::new(occluder, brdf, lighting).stopped_by(stop);
             ViewLight::new(mesh, atlas, shader)
         };
-        let from = |light: LightOfViews<'_>| {
+        let from = |light: LightOfViews<'_>, surfaces| {
             reconstruct(&scene, views, surfaces, atlas, &light, shortcuts)
         };
         let (texture, albedo) = match light {
             Light::Still(lighting, ambient) => {
                 let own = of(brdf, &lighting);
                 let mut texture = if brdf.is_some() {
-                    from(LightOfViews::Same(&own))
+                    from(LightOfViews::Same(&own), surfaces)
                 } else {
                     // Without gloss no light is to be taken out.
-                    from(LightOfViews::Same(&of(None, &lighting.dark())))
+                    from(LightOfViews::Same(&of(None, &lighting.dark())), surfaces)
                 };
                 clock.lap("texture");
                 report(&mut observer, ALBEDO)?;
                 let albedo = separate(&scene, atlas, &own.shader, &own.seen, &mut texture, ambient);
                 (texture, albedo)
             }
-            Light::Turning(lightings) => {
-                let own: Vec<ViewLight<'_>> = lightings.iter().map(|l| of(brdf, l)).collect();
-                let mut texture = from(LightOfViews::Each(&own));
+            Light::Turning(lightings, sent) => {
+                let own = lightings
+                    .iter()
+                    .enumerate()
+                    .map(|(view, lighting)| ViewLight {
+                        surroundings: sent.get(view),
+                        ..of(brdf, lighting)
+                    });
+                let own: Vec<ViewLight<'_>> = own.collect();
+                let mut texture = from(LightOfViews::Each(&own), surfaces);
                 clock.lap("texture");
                 report(&mut observer, ALBEDO)?;
-                let albedo = light_texture(&scene, atlas, &own[0], &mut texture);
+                let albedo = filled_albedo(&scene, atlas, &texture);
+                light_texture(&scene, atlas, &own[0], &albedo, &mut texture);
                 let ambient = lightings[0].ambient;
                 (texture, Albedo { albedo, ambient })
             }
@@ -387,10 +433,12 @@ fn rounded(mut pixels: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
 }
 
 /// What all stages need of a mesh.
-struct Measured {
-    occluder: Occluder,
+pub struct Measured {
+    /// The mesh, for shadows.
+    pub occluder: Occluder,
     surfaces: Vec<ViewSurface>,
-    atlas: Atlas,
+    /// Where each triangle lies in textures.
+    pub atlas: Atlas,
 }
 
 impl Measured {
@@ -504,6 +552,11 @@ fn with_exposures(mut corrections: Vec<Correction>, exposures: &[f64]) -> Vec<Co
         correction.exposure *= factor;
     }
     corrections
+}
+
+/// Says that textures are made.
+pub fn report_texture(observer: &mut dyn Observer) -> Result<(), Stopped> {
+    report(observer, TEXTURE)
 }
 
 fn report(observer: &mut dyn Observer, (what, fraction): (&str, f32)) -> Result<(), Stopped> {

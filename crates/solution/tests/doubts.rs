@@ -23,6 +23,7 @@ fn solved(capture: &Capture) -> Solution {
         estimate: EstimateParams::default(),
         frequency: 70,
         radius: None,
+        light_frame: None,
     };
     solve(capture, &options, 0.0, &mut Unobserved).unwrap()
 }
@@ -311,6 +312,7 @@ fn with_roughness(capture: &Capture, roughness: f32) -> Solution {
         },
         frequency: 40,
         radius: None,
+        light_frame: None,
     };
     solve(capture, &options, 0.0, &mut Unobserved).unwrap()
 }

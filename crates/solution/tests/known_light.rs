@@ -22,6 +22,7 @@ fn solved(light: &LightProbe) -> Solution {
         estimate: EstimateParams::default(),
         frequency: 40,
         radius: None,
+        light_frame: None,
     };
     solve_under(&capture, &options, Some(light), 0.0, &mut Unobserved).expect("not stopped")
 }

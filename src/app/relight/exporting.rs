@@ -423,7 +423,16 @@ impl Question {
                     with_size(camera, width, height)
                 }
             })
-            .map(|(stem, camera)| shot(stem, camera))
+            .map(|(stem, camera)| Shot {
+                lighting: Arc::new(
+                    document
+                        .solution()
+                        .lighting_before(&lighting, &camera)
+                        .into_owned(),
+                ),
+                stem,
+                camera,
+            })
             .collect(),
             Subject::Turntable => {
                 let solution = document.solution();

@@ -708,7 +708,10 @@ impl Viewport {
         }
         if let Some((subject @ Subject::Solved(_), _)) = subject() {
             let lighting = match &subject {
-                Subject::Solved(solution) => solution.lighting(),
+                Subject::Solved(solution) => {
+                    let lighting = solution.lighting();
+                    solution.lighting_before(&lighting, &camera).into_owned()
+                }
                 Subject::Running { .. } => return,
             };
             self.render(worker, AT_CAMERA, subject, camera, lighting);

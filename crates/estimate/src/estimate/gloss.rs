@@ -38,6 +38,8 @@ const NEIGHBOURS: usize = 8;
 const POOLED: usize = 24;
 /// Bond from which on it is.
 const ALIKE: f32 = 0.3;
+/// Parts of the views that are left out in turn.
+const FOLDS: usize = 3;
 /// Most glosses.
 const MOST: usize = 4;
 /// Evidence that counts as certain, in units of what is typically left, and what is left where nothing fits.
@@ -133,6 +135,12 @@ impl Evidence {
     }
 }
 
+/// What points say of their gloss where some views have no say, and what these views say.
+struct Fold {
+    told: Vec<Evidence>,
+    judging: Vec<Evidence>,
+}
+
 /// A gloss on the grid of [`ROUGHNESSES`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Kind {
@@ -163,6 +171,8 @@ impl Kind {
 /// Points with their evidence, and who lies beside whom.
 struct Board {
     evidence: Vec<Evidence>,
+    /// Each view is left out in one of them.
+    folds: Vec<Fold>,
     /// Logarithm of each point's diffuse radiance.
     colours: Vec<Vec3>,
     /// Each point's neighbours with the strength of their bond, from 0 to 1.
@@ -224,7 +234,7 @@ impl Solver<'_> {
             let kinds = board.kinds(worth, self.stop);
             (kinds.len() > 1).then_some((worth, kinds))
         })?;
-        let parts = board.walk(&kinds, |_| true);
+        let parts = board.walk(&kinds, &board.evidence);
         let glosses = refined(&lit, &parts, &kinds);
         // The one that explains most.
         let explained = |k: usize| -> f64 {
@@ -344,35 +354,77 @@ fn refined(lit: &Lit<'_>, parts: &[usize], kinds: &[Kind]) -> Vec<Gloss> {
     own.glosses
 }
 
+impl Lit<'_> {
+    /// What the views of a point that count say of its gloss, its diffuse colour being what those that are told say.
+    fn evidence(
+        &self,
+        point: &Point,
+        measured: &[[f32; 3]],
+        shown: &[(Brdf, Vec<[f32; 3]>)],
+        counts: impl Fn(usize) -> bool,
+        is_told: impl Fn(usize) -> bool,
+    ) -> Evidence {
+        let own = point.rows.clone();
+        let rows = &self.design.observations.rows[own.clone()];
+        let weights = &self.weights[own.clone()];
+        let telling: Vec<f32> = (rows.iter().zip(weights))
+            .map(|(row, &weight)| if is_told(row.view) { weight } else { 0.0 })
+            .collect();
+        let mut evidence = Evidence::none();
+        if telling.iter().all(|&weight| weight == 0.0) {
+            return evidence;
+        }
+        let eliminated = |brdf: &Brdf, values: &[[f32; 3]]| {
+            let mut values = values[own.clone()].to_vec();
+            eliminate(brdf, rows, &telling, &mut values);
+            values
+        };
+        let counted: Vec<(usize, f64)> = (rows.iter().zip(weights).enumerate())
+            .filter(|(_, (row, _))| counts(row.view))
+            .map(|(k, (_, &weight))| (k, f64::from(weight)))
+            .collect();
+        let measured = eliminated(&self.brdf, measured);
+        for &(k, weight) in &counted {
+            evidence.all += weight * f64::from(measured[k][0]).powi(2);
+        }
+        for (at, (brdf, shown)) in shown.iter().enumerate() {
+            let shown = eliminated(brdf, shown);
+            for &(k, weight) in &counted {
+                let a = f64::from(shown[k][0]);
+                evidence.with[at] += weight * a * f64::from(measured[k][0]);
+                evidence.of[at] += weight * a * a;
+            }
+        }
+        evidence
+    }
+}
+
 impl Board {
     fn new(observations: &Observations, lit: &Lit<'_>) -> Self {
         let rows = &lit.design.observations.rows;
-        let eliminated = |mut values: Vec<[f32; 3]>, brdf: &Brdf| {
-            for point in &observations.points {
-                let own = point.rows.clone();
-                let (rows, weights) = (&rows[own.clone()], &lit.weights[own.clone()]);
-                eliminate(brdf, rows, weights, &mut values[own]);
-            }
-            values
-        };
-        let measured = eliminated(rows.iter().map(|r| r.radiance).collect(), &lit.brdf);
-        let mut evidence = vec![Evidence::none(); observations.points.len()];
-        for (point, evidence) in observations.points.iter().zip(&mut evidence) {
-            for k in point.rows.clone() {
-                evidence.all += f64::from(lit.weights[k] * measured[k][0] * measured[k][0]);
-            }
-        }
-        for (k, roughness) in ROUGHNESSES.into_iter().enumerate() {
+        let views = rows.iter().map(|row| row.view + 1).max().unwrap_or(0);
+        let turns = views.min(FOLDS);
+        let measured: Vec<[f32; 3]> = rows.iter().map(|row| row.radiance).collect();
+        let shown = ROUGHNESSES.map(|roughness| {
             let brdf = Brdf::new(lit.brdf.model, roughness * lit.brdf.sigma);
-            let shown = eliminated(lit.design.predict_values(&brdf, &lit.radiance), &brdf);
-            for (point, evidence) in observations.points.iter().zip(&mut evidence) {
-                for row in point.rows.clone() {
-                    let (w, a) = (f64::from(lit.weights[row]), f64::from(shown[row][0]));
-                    evidence.with[k] += w * a * f64::from(measured[row][0]);
-                    evidence.of[k] += w * a * a;
-                }
+            (brdf, lit.design.predict_values(&brdf, &lit.radiance))
+        });
+        let of = |counts: &(dyn Fn(usize) -> bool + Sync),
+                  is_told: &(dyn Fn(usize) -> bool + Sync)| {
+            let points = observations.points.par_iter();
+            let evidence =
+                points.map(|point| lit.evidence(point, &measured, &shown, counts, is_told));
+            evidence.collect::<Vec<_>>()
+        };
+        let fold = |turn: usize| {
+            let is_out = |view: usize| view % turns == turn;
+            Fold {
+                told: of(&|view| !is_out(view), &|view| !is_out(view)),
+                judging: of(&is_out, &|view| !is_out(view)),
             }
-        }
+        };
+        let folds = (0..turns).map(fold).collect();
+        let evidence = of(&|_| true, &|_| true);
         let shown = lit.design.predict_values(&lit.brdf, &lit.radiance);
         let colours = log_diffuse(observations, &lit.brdf, &lit.weights, &shown);
         let (bonds, contrast) = bonds(observations, &colours);
@@ -388,6 +440,7 @@ impl Board {
             .collect();
         Self {
             evidence,
+            folds,
             colours,
             bonds,
             contrast,
@@ -416,7 +469,7 @@ impl Board {
             let mut more = kinds.clone();
             more.push(candidates[best]);
             for _ in 0..ROUNDS {
-                let parts = self.walk(&more, |_| true);
+                let parts = self.walk(&more, &self.evidence);
                 for (k, kind) in more.iter_mut().enumerate() {
                     let own = self.evidence.iter().zip(&parts);
                     let own = own.filter(|(_, part)| **part == k).map(|(e, _)| e);
@@ -431,16 +484,18 @@ impl Board {
         kinds
     }
 
-    /// Whether more kinds explain points that had no say in their part better, beyond chance and by enough.
+    /// Whether more kinds explain views that had no say in the parts better, beyond chance and by enough: what is wrong with a highlight in
+    /// one view, such as a shadow's edge or what the surface mirrors of itself, is no gloss, and others don't show it.
     fn is_better(&self, worth: f64, fewer: &[Kind], more: &[Kind]) -> bool {
-        let is_told = |i: usize| i.count_ones().is_multiple_of(2);
         let left = |kinds: &[Kind]| -> Vec<f64> {
-            let parts = self.walk(kinds, is_told);
-            let others = (0..parts.len()).filter(|&i| !is_told(i));
-            others
-                .map(|i| kinds[parts[i]].left(&self.evidence[i]))
-                .map(|left| left.min(OUTLIER * self.unit))
-                .collect()
+            let of_fold = |fold: &Fold| -> Vec<f64> {
+                let parts = self.walk(kinds, &fold.told);
+                (parts.into_iter().zip(&fold.judging))
+                    .map(|(part, evidence)| kinds[part].left(evidence))
+                    .map(|left| left.min(OUTLIER * self.unit))
+                    .collect()
+            };
+            self.folds.iter().flat_map(of_fold).collect()
         };
         let (fewer, more) = (left(fewer), left(more));
         let ratio = more.iter().sum::<f64>() / fewer.iter().sum::<f64>();
@@ -468,18 +523,14 @@ impl Board {
             .collect()
     }
 
-    /// The part of each point; only those that `are_told` have their own evidence.
-    fn walk(&self, kinds: &[Kind], are_told: impl Fn(usize) -> bool) -> Vec<usize> {
+    /// The part of each point by what all say.
+    fn walk(&self, kinds: &[Kind], evidence: &[Evidence]) -> Vec<usize> {
         let n = kinds.len();
         if n == 1 {
             return vec![0; self.evidence.len()];
         }
-        let told: Vec<(usize, f32)> = (self.evidence.iter().enumerate())
-            .map(|(i, evidence)| {
-                let (kind, certain) = self.verdict(kinds, evidence);
-                (kind, if are_told(i) { certain } else { 0.0 })
-            })
-            .collect();
+        let told = evidence.iter().map(|own| self.verdict(kinds, own));
+        let told: Vec<(usize, f32)> = told.collect();
         let mut share = vec![0.0_f32; n];
         for &(kind, certain) in &told {
             share[kind] += certain;
@@ -560,16 +611,20 @@ fn quantised(kinds: impl Iterator<Item = Kind>) -> Vec<Kind> {
 }
 
 /// One over each row's variance: noise, image detail and what is not known of highlights, which are what a row has above the
-/// darkest of its point.
+/// darkest of its point under equal irradiance.
 fn weights(observations: &Observations, noise: f32) -> Vec<f32> {
     let mut weights = vec![0.0; observations.rows.len()];
     for point in &observations.points {
         let rows = &observations.rows[point.rows.clone()];
         let brightness = rows.iter().map(|row| magnitude(row.radiance));
-        let least = brightness.clone().fold(f32::INFINITY, f32::min);
+        let albedos = brightness
+            .clone()
+            .zip(rows)
+            .map(|(bright, row)| bright / row.irradiance);
+        let least = albedos.fold(f32::INFINITY, f32::min);
         let weights = weights[point.rows.clone()].iter_mut();
         for ((weight, row), bright) in weights.zip(rows).zip(brightness) {
-            let error = HIGHLIGHT_ERROR * (bright - least);
+            let error = HIGHLIGHT_ERROR * (bright - least * row.irradiance);
             let deviation = deviation(noise.max(1e-7), row.detail).hypot(error);
             *weight = deviation.powi(-2);
         }

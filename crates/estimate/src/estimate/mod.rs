@@ -385,8 +385,8 @@ fn begin(
 }
 
 /// Runs a method where the light stands still with the camera; see [`turntable`].
-fn on_turntable(
-    input: &EstimateInput<'_>,
+fn on_turntable<'o>(
+    input: &EstimateInput<'o>,
     params: &EstimateParams,
     shortcuts: &Shortcuts,
     mut watcher: &Watcher<'_>,
@@ -401,33 +401,39 @@ fn on_turntable(
     let mut turning = Turning {
         motions,
         irradiance: None,
-        is_provisional: true,
+        is_provisional: input.first.is_none(),
     };
-    let by_diffuse = {
+    let told_by = |found: &Estimate, turning: &Turning<'o>| {
+        let sigma = found.brdf.map(|brdf| brdf.sigma);
+        let solver = Solver::new(input, sigma, &pyramid, with, Some(turning), clock, stop);
+        turntable::from_lights(&solver, input.occluder, found)
+    };
+    let (mut start, by_diffuse) = if let Some(first) = input.first {
+        turning.irradiance = told_by(first.estimate, &turning).map(|told| told.0);
+        (Start::after(first), None)
+    } else {
         let sigma = params.sigma;
         let solver = Solver::new(input, sigma, &pyramid, with, Some(&turning), clock, stop);
-        turntable::from_diffuse(&solver, input.occluder)
-    };
-    turning.irradiance = Some(by_diffuse.irradiance);
-    let mut start = Start {
-        clock,
-        ..Start::default()
+        let told = turntable::from_diffuse(&solver, input.occluder);
+        turning.irradiance = Some(told.irradiance);
+        let start = Start {
+            clock,
+            ..Start::default()
+        };
+        (start, Some((told.grid, told.nodes, told.ambient)))
     };
     loop {
         let mut found = run(input, params, shortcuts, watcher, (start, Some(&turning)))?;
         if found.brdf.is_none() {
-            let said = diagnose::BY_DIFFUSE.to_owned();
-            found.diagnostics.warnings.push(said);
-            (found.grid, found.radiance) = (by_diffuse.grid, by_diffuse.nodes);
-            found.ambient_irradiance = Some(by_diffuse.ambient);
+            if let Some((grid, nodes, ambient)) = by_diffuse {
+                let said = diagnose::BY_DIFFUSE.to_owned();
+                found.diagnostics.warnings.push(said);
+                (found.grid, found.radiance) = (grid, nodes);
+                found.ambient_irradiance = Some(ambient);
+            }
             return Ok(found);
         }
-        let told = {
-            let sigma = found.brdf.map(|brdf| brdf.sigma);
-            let solver = Solver::new(input, sigma, &pyramid, with, Some(&turning), clock, stop);
-            turntable::from_lights(&solver, input.occluder, &found)
-        };
-        let Some((irradiance, ambient)) = told else {
+        let Some((irradiance, ambient)) = told_by(&found, &turning) else {
             return Ok(found);
         };
         if !turning.is_provisional {

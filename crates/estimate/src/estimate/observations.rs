@@ -40,9 +40,9 @@ pub struct Seen<'a> {
     pub turning: Option<&'a Turning<'a>>,
 }
 
-/// What a surface mirrors of itself at a place, on a triangle with weights of the second and third corner, in a unit direction, RGB in
-/// the capture's units. Places with other numbers may be looked at by other rays.
-pub type Mirrored<'a> = &'a (dyn Fn((u32, Vec2), Vec3, u32) -> [f32; 3] + Sync);
+/// What a surface mirrors of itself at a place, on a triangle with weights of the second and third corner, in a view, in the unit
+/// direction to its camera; RGB in the capture's units. Places with other numbers may be looked at by other rays.
+pub type Mirrored<'a> = &'a (dyn Fn((u32, Vec2), (usize, Vec3), u32) -> [f32; 3] + Sync);
 
 impl Seen<'_> {
     /// Glosses of the surface's parts.
@@ -381,7 +381,7 @@ impl Candidate {
     /// Leaves what comes straight from the lights and the diffuse body.
     fn take_out(&mut self, mirrored: Mirrored<'_>) {
         for row in &mut self.rows {
-            let indirect = mirrored(self.on, row.to_camera, self.order.0);
+            let indirect = mirrored(self.on, (row.view, row.to_camera), self.order.0);
             for (all, indirect) in row.radiance.iter_mut().zip(indirect) {
                 *all -= indirect;
             }

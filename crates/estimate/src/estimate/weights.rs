@@ -10,7 +10,7 @@ use rekindle_scene::reflectance::Brdf;
 const HUBER: f32 = 1.345;
 
 /// How much of a row's local image detail counts as interpolation noise.
-const DETAIL_SHARE: f32 = 0.3;
+pub const DETAIL_SHARE: f32 = 0.3;
 
 /// What a fit left over, row by row.
 #[derive(Clone, Debug, Default)]

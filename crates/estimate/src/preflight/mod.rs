@@ -15,7 +15,7 @@ pub use view::ViewReport;
 
 use crate::registration::Agreement;
 use rayon::prelude::*;
-use rekindle_capture::{Capture, Mesh, PixelCounts, View};
+use rekindle_capture::{Capture, LightFrame, Mesh, PixelCounts, View};
 use rekindle_scene::surface::{Occluder, ViewSurface};
 use serde::Serialize;
 
@@ -58,6 +58,8 @@ pub struct Report {
     pub up: [f64; 3],
     /// Radius of the light hemisphere in mesh units, none for distant light.
     pub radius: Option<f64>,
+    /// What the lights stand still with.
+    pub light_frame: LightFrame,
     /// The mesh.
     pub mesh: MeshReport,
     /// One per view.
@@ -79,6 +81,8 @@ impl Report {
             .collect();
         let agreement = Agreement::new(&capture.mesh, &capture.views, &surfaces, POINTS);
         let exposures = agreement.exposures();
+        // Where the light turns, views differ by that.
+        let is_still = capture.light_hemisphere.frame.is_world();
         let views = capture
             .views
             .par_iter()
@@ -88,7 +92,9 @@ impl Report {
                 let counts = pixels.get(i).copied().unwrap_or_default();
                 let report = ViewReport::new(view, counts, surface, &capture.mesh, &occluder);
                 ViewReport {
-                    relative_exposure: exposures[i].map(|exposure| exposure.factor),
+                    relative_exposure: exposures[i]
+                        .filter(|_| is_still)
+                        .map(|exposure| exposure.factor),
                     ..report
                 }
             })
@@ -98,6 +104,7 @@ impl Report {
             capture: capture.name.clone(),
             up: hemisphere.up.to_array(),
             radius: hemisphere.radius,
+            light_frame: hemisphere.frame,
             mesh: MeshReport::new(&capture.mesh),
             views,
             seen_by: agreement.seen_by(),

@@ -81,6 +81,7 @@ pub fn run(plan: &Plan, audience: &mut dyn Audience) -> Result<Report, BenchErro
                     },
                     frequency: plan.frequency,
                     radius: None,
+                    light_frame: None,
                 };
                 let run = record::record((capture, load_s), truth, &options, round, audience)?;
                 runs.push(run);

@@ -404,6 +404,7 @@ fn solved(folder: &TempDir) -> Solution {
         estimate: EstimateParams::default(),
         frequency: FREQUENCY,
         radius: None,
+        light_frame: None,
     };
     solve(&load(folder), &options, 0.0, &mut Unobserved).unwrap()
 }
