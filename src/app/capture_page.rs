@@ -321,7 +321,10 @@ impl CapturePage {
             ("Lights", radius),
             (
                 "Lights still with",
-                still_with(report.light_frame).to_owned(),
+                report
+                    .light_frame
+                    .map_or("Not stated", still_with)
+                    .to_owned(),
             ),
             ("Seen by 3 or more", format!("{more:.1} %")),
             ("Seen by 2", format!("{two:.1} %")),
@@ -612,7 +615,7 @@ pub(super) fn estimation_ui(ui: &mut egui::Ui, settings: &mut Estimation) {
 
 /// A choice of what the lights stand still with.
 fn frame_name(frame: Option<LightFrame>) -> &'static str {
-    frame.map_or("What the capture says", still_with)
+    frame.map_or("As the capture shows", still_with)
 }
 
 fn still_with(frame: LightFrame) -> &'static str {

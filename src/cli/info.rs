@@ -30,8 +30,9 @@ fn text(report: &Report) -> String {
         .radius
         .map_or("distant".to_owned(), |radius| format!("radius {radius}"));
     let turning = match report.light_frame {
-        LightFrame::World => "",
-        LightFrame::Camera => ", still with the camera (turntable)",
+        None => "",
+        Some(LightFrame::World) => ", still with the object",
+        Some(LightFrame::Camera) => ", still with the camera (turntable)",
     };
     let _ = writeln!(
         out,

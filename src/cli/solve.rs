@@ -84,7 +84,7 @@ pub(super) struct EstimationArgs {
     /// Distance of the lights from the object's centre, in mesh units (default: what the capture states, or distant)
     #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     radius: Option<f32>,
-    /// What the lights stand still with (default: what the capture states, or the object)
+    /// What the lights stand still with (default: what the capture states, or else shows)
     #[arg(long, value_enum)]
     light_frame: Option<LightFrameArg>,
     /// Take cameras and exposures as stated, even where outlines and radiances do not fit

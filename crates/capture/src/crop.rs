@@ -388,7 +388,7 @@ mod tests {
             light_hemisphere: crate::LightHemisphere {
                 up: glam::DVec3::Z,
                 radius: None,
-                frame: crate::LightFrame::World,
+                frame: None,
             },
             brackets: None,
             warnings: Vec::new(),

@@ -19,8 +19,12 @@ impl Capture {
         add(&mut hasher, &self.light_hemisphere.up.to_array());
         add(&mut hasher, self.light_hemisphere.radius.as_slice());
         // Where nothing else is stated, the digest is that of versions before there was a choice.
-        if self.light_hemisphere.frame == LightFrame::Camera {
-            add_text(&mut hasher, "camera");
+        if let Some(frame) = self.light_hemisphere.frame {
+            let name = match frame {
+                LightFrame::World => "world",
+                LightFrame::Camera => "camera",
+            };
+            add_text(&mut hasher, name);
         }
         for warning in &self.warnings {
             add_text(&mut hasher, warning);
@@ -111,7 +115,7 @@ mod tests {
             light_hemisphere: LightHemisphere {
                 up: DVec3::Z,
                 radius: None,
-                frame: LightFrame::World,
+                frame: None,
             },
             brackets: None,
             warnings: Vec::new(),
@@ -120,7 +124,7 @@ mod tests {
 
     #[test]
     fn any_change_of_what_was_measured_shows() {
-        let changes: [fn(&mut Capture); 11] = [
+        let changes: [fn(&mut Capture); 12] = [
             |_| {},
             |c| c.views[1].camera.focal.y += 1e-12,
             |c| c.views[1].camera.distortion.k[0] = 1e-6,
@@ -130,7 +134,8 @@ mod tests {
             |c| Arc::make_mut(&mut c.views[0].photograph).coverage = Some(Vec::new()),
             |c| c.mesh.normals[2].x = 1e-7,
             |c| c.light_hemisphere.radius = Some(3.0),
-            |c| c.light_hemisphere.frame = LightFrame::Camera,
+            |c| c.light_hemisphere.frame = Some(LightFrame::Camera),
+            |c| c.light_hemisphere.frame = Some(LightFrame::World),
             |c| c.warnings.push("clipped".to_owned()),
         ];
         let prints: Vec<u128> = changes

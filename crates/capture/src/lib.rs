@@ -96,8 +96,8 @@ pub struct LightHemisphere {
     pub up: DVec3,
     /// Radius in mesh units about the object's centre, `None` for distant light.
     pub radius: Option<f64>,
-    /// What the lights stand still with.
-    pub frame: LightFrame,
+    /// What the lights stand still with, where that is stated.
+    pub frame: Option<LightFrame>,
 }
 
 /// What the lights stand still with.
@@ -140,12 +140,17 @@ impl Capture {
     /// where it is before the first: there the lights are the same for all. `None` where they stand still with the object, or there is a
     /// single view.
     pub fn motions(&self) -> Option<Vec<DAffine3>> {
-        let first = match self.light_hemisphere.frame {
-            LightFrame::World => None,
-            LightFrame::Camera => self.views.first().filter(|_| self.views.len() > 1),
-        }?;
+        let turns = self.light_hemisphere.frame == Some(LightFrame::Camera);
+        (turns && self.views.len() > 1).then(|| self.motions_of_camera())
+    }
+
+    /// The same, whatever the lights stand still with.
+    pub fn motions_of_camera(&self) -> Vec<DAffine3> {
+        let Some(first) = self.views.first() else {
+            return Vec::new();
+        };
         let first = first.camera.world_from_camera;
         let motion = |view: &View| first * view.camera.world_from_camera.inverse();
-        Some(self.views.iter().map(motion).collect())
+        self.views.iter().map(motion).collect()
     }
 }

@@ -50,8 +50,8 @@ pub(super) struct Manifest {
     pub up: Option<DVec3>,
     /// Radius of the light hemisphere in mesh units, `None` for distant light.
     pub radius: Option<f64>,
-    /// What the lights stand still with.
-    pub light_frame: LightFrame,
+    /// What the lights stand still with, where that is stated.
+    pub light_frame: Option<LightFrame>,
     /// `applied_transform` with `applied_scale`, where the manifest states them.
     pub applied: Option<DMat4>,
     /// Whether cameras are of the pixels as they are stored, whatever the images' orientation.
@@ -519,10 +519,10 @@ fn mesh_transform(top: &Fields) -> Result<Option<DMat4>, CaptureError> {
 /// `light_hemisphere`: unit up, radius and what the lights stand still with.
 fn light_hemisphere(
     top: &Fields,
-) -> Result<(Option<DVec3>, Option<f64>, LightFrame), CaptureError> {
+) -> Result<(Option<DVec3>, Option<f64>, Option<LightFrame>), CaptureError> {
     const KEY: &str = "light_hemisphere";
     let Some(value) = top.get(KEY) else {
-        return Ok((None, None, LightFrame::World));
+        return Ok((None, None, None));
     };
     let fields = Fields::of(top.manifest, KEY, value)?;
     let up = fields
@@ -537,8 +537,9 @@ fn light_hemisphere(
         })
         .transpose()?;
     let frame = match fields.text("frame")? {
-        None | Some("world") => LightFrame::World,
-        Some("camera") => LightFrame::Camera,
+        None => None,
+        Some("world") => Some(LightFrame::World),
+        Some("camera") => Some(LightFrame::Camera),
         Some(other) => {
             let problem = format!("is \"{other}\"");
             let advice = "write \"world\" where the lights stand still with the object, \"camera\" where they do with the camera, \

@@ -33,9 +33,9 @@ impl LightProbe {
     /// Refuses captures whose lights stand still with the camera: the picture is of a place around the object.
     pub fn check(&self, capture: &Capture, options: &SolveOptions) -> Result<(), SolutionError> {
         let stated = capture.light_hemisphere.frame;
-        match options.light_frame.unwrap_or(stated) {
-            LightFrame::World => Ok(()),
-            LightFrame::Camera => Err(SolutionError::LightTurns {
+        match options.light_frame.or(stated) {
+            None | Some(LightFrame::World) => Ok(()),
+            Some(LightFrame::Camera) => Err(SolutionError::LightTurns {
                 capture: capture.name.clone(),
             }),
         }

@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::mirrored::without_mirrored;
-use super::turntable;
+use super::turntable::{SelfLit, lightings};
 use super::{
     Fit, HemispherePicture, KnownLight, LightProbe, Skipped, Solution, SolutionLamp, lighting,
     origin,
@@ -17,7 +17,7 @@ use rekindle_base::math::rounding::round_to_halves;
 use rekindle_capture::{Camera, Capture, LightFrame, Mesh, View};
 use rekindle_estimate::estimate::{
     Diagnostics, Estimate, EstimateInput, EstimateParams, GivenLight, Interim, Iteration, Observer,
-    Stopped, bears_out, estimate, estimate_under, watched,
+    Stopped, bears_out, estimate, estimate_under, stands_with_camera, watched,
 };
 use rekindle_estimate::preflight::misplacements;
 use rekindle_estimate::registration::{
@@ -55,6 +55,10 @@ const HEMISPHERES: (&str, f32) = ("collecting highlights on the hemisphere", 0.1
 const ESTIMATE: (&str, f32) = ("estimating roughness and lights", 0.15);
 const TEXTURE: (&str, f32) = ("reconstructing the texture", 0.70);
 const ALBEDO: (&str, f32) = ("separating texture and shading", 0.90);
+
+/// What is said where a capture turns out to be of an object that was turned.
+const TURNS: &str = "The lights are taken to stand still with the camera, as on a turntable: that explains how the diffuse part \
+    differs from view to view, and lights that stand still with the object do not. If it is not so, say that they do (--light-frame world).";
 
 /// What a solve is asked to do.
 #[derive(Clone, Copy, Debug)]
@@ -135,10 +139,16 @@ pub fn solve_under(
     };
     let mut measured = Measured::new(&stated.mesh, &stated.views, observer, SURFACE)?;
     let given = stated;
-    let framed = framed(given, options);
+    let mut framed = framed(given, options);
+    let grid = hemisphere(&framed, options, light);
+    let turns = framed.light_hemisphere.frame.is_none()
+        && light.is_none()
+        && stands_with_camera(&measured.input(&framed, &grid), observer)?;
+    if turns {
+        framed.to_mut().light_hemisphere.frame = Some(LightFrame::Camera);
+    }
     let (stated, outlined) = within_outlines(&framed, &measured.surfaces);
     let stated = stated.as_ref();
-    let grid = hemisphere(stated, options, light);
     let (mut capture, mut corrections) = if options.estimate.as_stated {
         (Cow::Borrowed(stated), Vec::new())
     } else {
@@ -173,6 +183,7 @@ pub fn solve_under(
         found = without_mirrored(&input, &options.estimate, found, &mut Part { observer })?;
     }
     let mesh = &capture.mesh;
+    let surfaces = std::mem::take(&mut measured.surfaces);
     let shortcuts = Shortcuts::without(options.estimate.avoided);
     let sight = |surfaces| Sight {
         mesh,
@@ -181,22 +192,27 @@ pub fn solve_under(
         views: &capture.views,
         shortcuts: &shortcuts,
     };
-    let around =
-        (motions.as_ref()).and_then(|_| Interreflection::new(mesh, &measured.occluder, found.brdf));
-    let mut pictured = Vec::new();
-    let mut sent = Vec::new();
-    if let Some((motions, around)) = motions.as_ref().zip(around.as_ref()) {
-        let lightings = turntable::lightings(&found, motions);
-        let gloss = gloss(&found, mesh, &measured.atlas, &minimum);
-        let lobe = (found.brdf, gloss.as_ref());
-        let own = sight(measured.surfaces.clone());
-        pictured = turntable::pictured(own, lobe, &lightings, observer)?;
-        let own = sight(Vec::new());
-        sent = turntable::surroundings(around, &own, found.brdf, &lightings, &pictured);
-        let input = measured.input(&capture, &grid);
-        let with = (&own, &sent[..], &lightings[..]);
+    let self_lit = match &motions {
+        Some(motions) => {
+            let gloss = gloss(&found, mesh, &measured.atlas, &minimum);
+            SelfLit::new(
+                sight(surfaces.clone()),
+                gloss.as_ref(),
+                &found,
+                motions,
+                observer,
+            )?
+        }
+        None => None,
+    };
+    let sent = (self_lit.as_ref()).map_or_else(Vec::new, SelfLit::surroundings);
+    if let Some(self_lit) = &self_lit {
+        let input = EstimateInput {
+            surfaces: &surfaces,
+            ..measured.input(&capture, &grid)
+        };
         let part = &mut Part { observer };
-        found = turntable::without_sent(&input, &options.estimate, found, with, &pictured, part)?;
+        found = self_lit.without_sent(&input, &options.estimate, found, &sent, part)?;
     }
     clock.lap("estimate");
 
@@ -204,14 +220,14 @@ pub fn solve_under(
     let gloss = gloss(&found, mesh, &measured.atlas, &minimum);
     let lobe = (found.brdf, gloss.as_ref());
     let lit = match &motions {
-        Some(motions) => Light::Turning(turntable::lightings(&found, motions), &sent),
+        Some(motions) => Light::Turning(lightings(&found, motions), &sent),
         None => {
             let lobe = (found.brdf, known_light.as_ref());
             let lit = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, lobe);
             Light::Still(lit, Ambient::beside(light.is_some()))
         }
     };
-    let sight = sight(measured.surfaces.clone());
+    let sight = sight(surfaces);
     let (mut texture, albedo) = textures(sight, lobe, lit, &minimum, &mut clock, observer)?;
     let atlas = measured.atlas;
 
@@ -222,6 +238,7 @@ pub fn solve_under(
     let warnings = [
         given.warnings.clone(),
         outlined.into_iter().collect(),
+        turns.then(|| TURNS.to_owned()).into_iter().collect(),
         describe(&corrections),
         atlas.warnings.clone(),
         misplaced,
@@ -235,7 +252,7 @@ pub fn solve_under(
         corrections,
         sigma_interval95: found.sigma_interval95,
         known_light,
-        light_frame: stated.light_hemisphere.frame,
+        light_frame: stated.light_hemisphere.frame.unwrap_or_default(),
         grid: found.grid,
         radiance: found.radiance,
         lamps,
@@ -263,8 +280,8 @@ pub fn solve_under(
 fn framed<'c>(capture: &'c Capture, options: &SolveOptions) -> Cow<'c, Capture> {
     let mut framed = Cow::Borrowed(capture);
     let stated = capture.light_hemisphere.frame;
-    if let Some(frame) = options.light_frame.filter(|&frame| frame != stated) {
-        framed.to_mut().light_hemisphere.frame = frame;
+    if options.light_frame.is_some() && options.light_frame != stated {
+        framed.to_mut().light_hemisphere.frame = options.light_frame;
     }
     framed
 }

@@ -4,11 +4,12 @@
 //! radiance over the direct irradiance, whatever the light that is wanting came from. Times the direct irradiance of each view it is what
 //! others get there. That is taken out of the pictures, and the estimate goes on with what comes straight from the lights.
 
-use glam::{DAffine3, Vec3};
+use glam::{DAffine3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::lighting;
-use super::solve::{Sight, name_lamps, report_texture};
+use super::solve::{Measured, Sight, name_lamps, report_texture};
+use rekindle_capture::Mesh;
 use rekindle_estimate::estimate::{
     Estimate, EstimateInput, EstimateParams, First, Method, Observer, Stopped, estimate, watched,
 };
@@ -17,7 +18,7 @@ use rekindle_relight::{
     ambient_gain, filled_albedo, reconstruct,
 };
 use rekindle_scene::reflectance::Brdf;
-use rekindle_scene::surface::GlossTexture;
+use rekindle_scene::surface::{GlossTexture, Texel};
 
 /// Part of the irradiance that has to come from the surface itself, in the view with most of it, for the estimate to be made again.
 const MUCH: f32 = 0.01;
@@ -30,10 +31,126 @@ pub fn lightings(found: &Estimate, motions: &[DAffine3]) -> Vec<Lighting> {
     motions.iter().map(|m| lit.moved(&m.inverse())).collect()
 }
 
+/// How a surface that turns lights itself, as its pictures show.
+pub struct SelfLit<'a> {
+    mesh: &'a Mesh,
+    measured: &'a Measured,
+    brdf: Brdf,
+    around: Interreflection,
+    /// The lights that were found, in each view.
+    lightings: Vec<Lighting>,
+    /// Diffuse radiance of every texel over its direct irradiance, RGB.
+    factor: Vec<[f32; 3]>,
+}
+
+impl<'a> SelfLit<'a> {
+    /// Looks at the views under the lights that were found. `None` where the lobe leaves open how strong interreflection is.
+    pub fn new(
+        sight: Sight<'a>,
+        gloss: Option<&GlossTexture>,
+        found: &Estimate,
+        motions: &[DAffine3],
+        observer: &mut dyn Observer,
+    ) -> Result<Option<Self>, Stopped> {
+        let Sight { mesh, measured, .. } = sight;
+        let around = Interreflection::new(mesh, &measured.occluder, found.brdf);
+        let Some((around, brdf)) = around.zip(found.brdf) else {
+            return Ok(None);
+        };
+        let lightings = lightings(found, motions);
+        let factor = factor(sight, (brdf, gloss), &lightings, observer)?;
+        Ok(Some(Self {
+            mesh,
+            measured,
+            brdf,
+            around,
+            lightings,
+            factor,
+        }))
+    }
+
+    fn shader(&self, view: usize) -> Shader<'_> {
+        let occluder = &self.measured.occluder;
+        Shader::new(occluder, Some(self.brdf), &self.lightings[view])
+    }
+
+    /// What surrounds each place in each view.
+    pub fn surroundings(&self) -> Vec<Surroundings<'_>> {
+        let on = (self.mesh, &self.measured.atlas);
+        let of_view = |view| {
+            let shader = self.shader(view);
+            Surroundings::pictured(&self.around, on, &shader, &self.factor)
+        };
+        (0..self.lightings.len()).map(of_view).collect()
+    }
+
+    /// A second estimate, without what the surface sends itself, where that is much.
+    pub fn without_sent(
+        &self,
+        input: &EstimateInput<'_>,
+        params: &EstimateParams,
+        first: Estimate,
+        sent: &[Surroundings<'_>],
+        observer: &mut dyn Observer,
+    ) -> Result<Estimate, Stopped> {
+        let is_much = sent.iter().any(|view| view.indirect_part() > MUCH);
+        if params.method != Method::Fast || observer.enough() || !is_much {
+            return Ok(first);
+        }
+        let (mesh, atlas, brdf) = (self.mesh, &self.measured.atlas, self.brdf);
+        let scene = Scene {
+            mesh,
+            occluder: &self.measured.occluder,
+            brdf: Some(brdf),
+            gloss: None,
+            surroundings: None,
+        };
+        let shaders: Vec<Shader<'_>> = (0..sent.len()).map(|view| self.shader(view)).collect();
+        let albedo = self.albedo(sent);
+        let mirrored = |place: (u32, Vec2), (view, to_camera): (usize, Vec3), number: u32| {
+            let own = &sent[view];
+            let cos_view = mesh.point(place.0, place.1).normal.dot(to_camera);
+            let [_, indirect] = own.direct_and_indirect(mesh, place);
+            let diffuse = atlas.sample(&albedo, place.0, place.1) * indirect;
+            let towards = (to_camera, number as usize);
+            let specular = own.reflected(&scene, &shaders[view], place, towards);
+            (brdf.diffuse_exit(cos_view) * diffuse + specular).to_array()
+        };
+        let again = EstimateInput {
+            first: Some(First {
+                estimate: &first,
+                mirrored: &mirrored,
+            }),
+            ..*input
+        };
+        estimate(&again, params, observer)
+    }
+
+    /// The albedo under all the light.
+    fn albedo(&self, sent: &[Surroundings<'_>]) -> Vec<[f32; 3]> {
+        let texels = &self.measured.atlas.texels;
+        let of_texel = |texel: &Texel| {
+            let place = (texel.triangle, texel.barycentric);
+            let of_views = (sent.iter()).map(|view| view.direct_and_indirect(self.mesh, place));
+            let [direct, indirect] = of_views.fold([Vec3::ZERO; 2], |sum, view| {
+                [sum[0] + view[0], sum[1] + view[1]]
+            });
+            let all = (direct + indirect).max(Vec3::splat(f32::MIN_POSITIVE));
+            Vec3::from(self.factor[texel.index as usize]) * direct / all
+        };
+        let of_texels: Vec<Vec3> = texels.par_iter().map(of_texel).collect();
+        let mut albedo = vec![[0.0; 3]; self.factor.len()];
+        for (texel, own) in texels.iter().zip(of_texels) {
+            albedo[texel.index as usize] = own.to_array();
+        }
+        albedo
+    }
+}
+
 /// Diffuse radiance of every texel over its direct irradiance, RGB, as views under these lights show it.
-pub fn pictured(
+fn factor(
     sight: Sight<'_>,
-    (brdf, gloss): (Option<Brdf>, Option<&GlossTexture>),
+    (brdf, gloss): (Brdf, Option<&GlossTexture>),
     lightings: &[Lighting],
     observer: &mut dyn Observer,
 ) -> Result<Vec<[f32; 3]>, Stopped> {
@@ -45,13 +162,13 @@ pub fn pictured(
         let scene = Scene {
             mesh,
             occluder: &measured.occluder,
-            brdf,
+            brdf: Some(brdf),
             gloss: gloss.map(|texture| GlossMap { atlas, texture }),
             surroundings: None,
         };
         let light = |lighting: &Lighting| {
-            let shader = Shader::new(scene.occluder, brdf, lighting).stopped_by(watcher.stop());
-            ViewLight::new(mesh, atlas, shader)
+            let shader = Shader::new(scene.occluder, Some(brdf), lighting);
+            ViewLight::new(mesh, atlas, shader.stopped_by(watcher.stop()))
         };
         let lights: Vec<ViewLight<'_>> = lightings.iter().map(light).collect();
         let of_views = LightOfViews::Each(&lights);
@@ -60,82 +177,4 @@ pub fn pictured(
         report_texture(&mut observer)?;
         Ok(filled_albedo(&scene, atlas, &texture))
     })
-}
-
-/// The surface as it lights itself in each view.
-pub fn surroundings<'a>(
-    around: &'a Interreflection,
-    sight: &Sight<'a>,
-    brdf: Option<Brdf>,
-    lightings: &[Lighting],
-    pictured: &'a [[f32; 3]],
-) -> Vec<Surroundings<'a>> {
-    let of_view = |lighting: &Lighting| {
-        let shader = Shader::new(&sight.measured.occluder, brdf, lighting);
-        let on = (sight.mesh, &sight.measured.atlas);
-        Surroundings::pictured(around, on, &shader, pictured)
-    };
-    lightings.iter().map(of_view).collect()
-}
-
-/// A second estimate, without what the surface sends itself under the lights of the first one, where that is much. `pictured` is on the
-/// atlas of `sight`.
-pub fn without_sent(
-    input: &EstimateInput<'_>,
-    params: &EstimateParams,
-    first: Estimate,
-    (sight, sent, lightings): (&Sight<'_>, &[Surroundings<'_>], &[Lighting]),
-    pictured: &[[f32; 3]],
-    observer: &mut dyn Observer,
-) -> Result<Estimate, Stopped> {
-    let is_much = sent.iter().any(|view| view.indirect_part() > MUCH);
-    if params.method != Method::Fast || observer.enough() || !is_much {
-        return Ok(first);
-    }
-    let Some(brdf) = first.brdf else {
-        return Ok(first);
-    };
-    let (mesh, atlas) = (sight.mesh, &sight.measured.atlas);
-    let scene = Scene {
-        mesh,
-        occluder: input.occluder,
-        brdf: Some(brdf),
-        gloss: None,
-        surroundings: None,
-    };
-    let shader = |lighting| Shader::new(input.occluder, Some(brdf), lighting);
-    let shaders: Vec<Shader<'_>> = lightings.iter().map(shader).collect();
-    let mut albedo = pictured.to_vec();
-    let of_texels: Vec<Vec3> = (atlas.texels.par_iter())
-        .map(|texel| {
-            let place = (texel.triangle, texel.barycentric);
-            let of_views = sent
-                .iter()
-                .map(|view| view.direct_and_indirect(mesh, place));
-            let [direct, indirect] = of_views.fold([Vec3::ZERO; 2], |sum, view| {
-                [sum[0] + view[0], sum[1] + view[1]]
-            });
-            let all = (direct + indirect).max(Vec3::splat(f32::MIN_POSITIVE));
-            Vec3::from(pictured[texel.index as usize]) * direct / all
-        })
-        .collect();
-    for (texel, own) in atlas.texels.iter().zip(of_texels) {
-        albedo[texel.index as usize] = own.to_array();
-    }
-    let mirrored = |place: (u32, glam::Vec2), (view, to_camera): (usize, Vec3), number: u32| {
-        let own = &sent[view];
-        let cos_view = mesh.point(place.0, place.1).normal.dot(to_camera);
-        let [_, indirect] = own.direct_and_indirect(mesh, place);
-        let diffuse = atlas.sample(&albedo, place.0, place.1) * indirect;
-        let specular = own.reflected(&scene, &shaders[view], place, (to_camera, number as usize));
-        (brdf.diffuse_exit(cos_view) * diffuse + specular).to_array()
-    };
-    let again = EstimateInput {
-        first: Some(First {
-            estimate: &first,
-            mirrored: &mirrored,
-        }),
-        ..*input
-    };
-    estimate(&again, params, observer)
 }

@@ -251,6 +251,34 @@ pub fn bears_out(
     })
 }
 
+/// Whether the diffuse part says that the light stands still with the camera, as on a turntable, where the capture doesn't say.
+pub fn stands_with_camera(
+    input: &EstimateInput<'_>,
+    observer: &mut dyn Observer,
+) -> Result<bool, Stopped> {
+    let turned = input.capture.motions_of_camera();
+    watched(observer, |watcher| {
+        let stop = watcher.stop();
+        let reduced = Reduced::of(input);
+        let input = reduced.as_ref().map_or(*input, |r| r.input(input));
+        let pyramid = Pyramid::new(input.grid, fast::COARSEST);
+        let (shortcuts, workspace) = (Shortcuts::default(), Workspace::new());
+        let turning = Turning {
+            motions: turned.iter().map(Motion::new).collect(),
+            irradiance: None,
+            is_provisional: true,
+        };
+        let with = (&shortcuts, &workspace);
+        let now = Instant::now();
+        let solver = Solver::new(&input, None, &pyramid, with, Some(&turning), now, stop);
+        let told = turntable::is_told(&solver);
+        if stop.load(Ordering::Relaxed) {
+            return Err(Stopped);
+        }
+        Ok(told)
+    })
+}
+
 /// What the lights of the other views leave of each view, at each of many points and as a part of its radiance.
 fn left_of_views(
     input: &EstimateInput<'_>,

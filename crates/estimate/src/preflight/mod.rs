@@ -58,8 +58,8 @@ pub struct Report {
     pub up: [f64; 3],
     /// Radius of the light hemisphere in mesh units, none for distant light.
     pub radius: Option<f64>,
-    /// What the lights stand still with.
-    pub light_frame: LightFrame,
+    /// What the lights stand still with, none where that is not stated.
+    pub light_frame: Option<LightFrame>,
     /// The mesh.
     pub mesh: MeshReport,
     /// One per view.
@@ -82,7 +82,7 @@ impl Report {
         let agreement = Agreement::new(&capture.mesh, &capture.views, &surfaces, POINTS);
         let exposures = agreement.exposures();
         // Where the light turns, views differ by that.
-        let is_still = capture.light_hemisphere.frame.is_world();
+        let is_still = capture.motions().is_none();
         let views = capture
             .views
             .par_iter()

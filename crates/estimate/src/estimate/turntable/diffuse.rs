@@ -342,6 +342,20 @@ impl<'a> Shading<'a> {
         }
     }
 
+    /// What some strengths leave of each point, as a part of it, in the middle of its rows.
+    pub fn left_of_points(&self, x: &[f64]) -> Vec<f64> {
+        let (measured, lit) = (self.measured(), self.lit(x));
+        let robust = self.settled(&measured, &lit);
+        let (left, _) = self.left(&measured, &robust, &lit);
+        let points = self.observations.points.iter();
+        let middle = |point: &Point| {
+            let own = left[point.rows.clone()].iter();
+            let mut sizes: Vec<f32> = own.map(|v| v.abs() as f32).collect();
+            f64::from(median(&mut sizes))
+        };
+        points.map(middle).collect()
+    }
+
     /// Robust weights under some irradiance.
     fn settled(&self, measured: &[f64], lit: &[f64]) -> Vec<f64> {
         let mut robust = vec![1.0; measured.len()];
