@@ -12,11 +12,12 @@ use super::diffuse::{DiffuseTexture, ViewLight};
 use super::fill::{Places, fill};
 use super::interreflection::Interreflection;
 use super::irradiance::texel_irradiance;
+use super::reflection::HOLLOW;
 use super::render::Scene;
 use super::shading::{Shader, ambient_gain};
 use super::triangle_shares::TriangleShares;
 use rekindle_scene::reflectance::SpecularModel;
-use rekindle_scene::surface::Atlas;
+use rekindle_scene::surface::{Atlas, Texel};
 
 /// Irradiance below this part of the typical one says nothing about the albedo …
 const DARK: f32 = 0.01;
@@ -98,6 +99,10 @@ pub fn separate(
         albedo[texel.index as usize] = quotient;
         known[texel.index as usize] = part;
     }
+    let is_metal = (scene.brdf).is_some_and(|brdf| brdf.model == SpecularModel::Metal);
+    if let Some(around) = scene.surroundings.filter(|_| is_metal) {
+        even_hollows((scene, atlas), around.interreflection, &mut albedo, &known);
+    }
     fill_unknown(
         (scene, atlas),
         &places,
@@ -117,6 +122,30 @@ pub fn separate(
     Albedo {
         albedo: albedo.iter().map(Vec3::to_array).collect(),
         ambient,
+    }
+}
+
+/// Gives the hollows of a metal the albedo that it has elsewhere: what it mirrors of itself more than once is left over there, as if it
+/// were diffuse.
+fn even_hollows(
+    (scene, atlas): (&Scene, &Atlas),
+    interreflection: &Interreflection,
+    albedo: &mut [Vec3],
+    known: &[f32],
+) {
+    let open = |texel: &Texel| {
+        let open = interreflection.openness(scene.mesh, texel.triangle, texel.barycentric);
+        ((open - HOLLOW) / (1.0 - HOLLOW)).clamp(0.0, 1.0).powi(2)
+    };
+    let open: Vec<f32> = atlas.texels.par_iter().map(open).collect();
+    let mut elsewhere = Mean::default();
+    for (texel, open) in atlas.texels.iter().zip(&open).filter(|(t, _)| !t.gutter) {
+        let t = texel.index as usize;
+        elsewhere.add(albedo[t], known[t] * open);
+    }
+    for (texel, open) in atlas.texels.iter().zip(open) {
+        let own = &mut albedo[texel.index as usize];
+        *own = elsewhere.value().lerp(*own, open);
     }
 }
 

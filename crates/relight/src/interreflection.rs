@@ -223,6 +223,12 @@ impl Interreflection {
         self.sheltered[self.gather_point(mesh, triangle, barycentric)]
     }
 
+    /// Part of the light from everywhere, by its irradiance, that reaches a point of the mesh past the rest of the surface.
+    pub(super) fn openness(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> f32 {
+        let gather = self.gather_point(mesh, triangle, barycentric);
+        1.0 - self.hits_of(gather).len() as f32 / RAYS as f32
+    }
+
     /// Points at which light is gathered.
     pub(super) fn gather_points(&self) -> &[ShadingPoint] {
         &self.clusters.gather

@@ -23,6 +23,8 @@ use rekindle_scene::surface::Atlas;
 /// Half vectors of a dielectric's lobe, as on the device, and of a metal's, which mirrors highlights.
 const RAYS: usize = 16;
 const METAL_RAYS: usize = 64;
+/// A metal less open than this is a hollow, in which light goes to and fro.
+pub(super) const HOLLOW: f32 = 0.7;
 /// Entries of the reflectance table, over the cosine of the view.
 const TABLE: usize = 64;
 
@@ -209,6 +211,11 @@ impl<'a> Surroundings<'a> {
     /// Whether what is mirrored is specular too.
     pub(super) fn are_metal(&self) -> bool {
         !self.interreflection.lobe.brdf.model.is_dielectric()
+    }
+
+    /// Whether a place lies in a hollow of a metal, which is full of light that comes by way of several others.
+    pub fn is_hollow(&self, mesh: &Mesh, (triangle, barycentric): (u32, Vec2)) -> bool {
+        self.are_metal() && self.interreflection.openness(mesh, triangle, barycentric) < HOLLOW
     }
 
     /// Diffuse radiance of the surface towards normal incidence.

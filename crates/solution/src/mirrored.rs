@@ -49,7 +49,8 @@ pub fn without_mirrored(
     let mirrored = |place, (_, view), number: u32| {
         let turns = (0..TURNS).map(|turn| number as usize + turn);
         let of_turn = |turn| surroundings.reflected(&scene, &shader, place, (view, turn));
-        (turns.map(of_turn).sum::<Vec3>() / TURNS as f32).into()
+        let is_clear = !surroundings.is_hollow(mesh, place);
+        is_clear.then(|| (turns.map(of_turn).sum::<Vec3>() / TURNS as f32).into())
     };
     let mut without = |mirrored| {
         let first = First {
@@ -65,7 +66,7 @@ pub fn without_mirrored(
     let mut second = without(&mirrored)?;
     if second.misfit > first.misfit {
         // Something else is wrong, which the first one did not look for.
-        second = without(&|_, _, _| [0.0; 3])?;
+        second = without(&|_, _, _| Some([0.0; 3]))?;
     }
     Ok(Estimate {
         exposures: first.exposures,

@@ -109,12 +109,15 @@ impl<'a> SelfLit<'a> {
         let albedo = self.albedo(sent);
         let mirrored = |place: (u32, Vec2), (view, to_camera): (usize, Vec3), number: u32| {
             let own = &sent[view];
+            if own.is_hollow(mesh, place) {
+                return None;
+            }
             let cos_view = mesh.point(place.0, place.1).normal.dot(to_camera);
             let [_, indirect] = own.direct_and_indirect(mesh, place);
             let diffuse = atlas.sample(&albedo, place.0, place.1) * indirect;
             let towards = (to_camera, number as usize);
             let specular = own.reflected(&scene, &shaders[view], place, towards);
-            (brdf.diffuse_exit(cos_view) * diffuse + specular).to_array()
+            Some((brdf.diffuse_exit(cos_view) * diffuse + specular).to_array())
         };
         let again = EstimateInput {
             first: Some(First {

@@ -11,6 +11,7 @@ use glam::{DAffine3, DQuat, DVec2, Quat, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::turntable::Turning;
+use super::weights::{DETAIL_SHARE, magnitude};
 use rekindle_base::math::morton;
 use rekindle_capture::{Mesh, Photograph, View};
 use rekindle_scene::reflectance::{Brdf, Gloss};
@@ -19,6 +20,9 @@ use rekindle_scene::surface::{GlossParts, ViewSurface};
 /// Rows at a smaller cosine between normal and view are not used: 1/cos θ_r magnifies there whatever is wrong in
 /// the normals, and a pixel covers many of them.
 pub const MIN_COS_ROW: f32 = 0.2;
+
+/// What is not known of what the surface sends itself, as a part of it: reflectance, and what it sends on.
+const MIRRORED_ERROR: f32 = 0.3;
 
 /// Rows of a point up to which the number of points is what counts. Where many views see each point, fewer points say as much.
 const ROWS_PER_POINT: usize = 8;
@@ -41,8 +45,9 @@ pub struct Seen<'a> {
 }
 
 /// What a surface mirrors of itself at a place, on a triangle with weights of the second and third corner, in a view, in the unit
-/// direction to its camera; RGB in the capture's units. Places with other numbers may be looked at by other rays.
-pub type Mirrored<'a> = &'a (dyn Fn((u32, Vec2), (usize, Vec3), u32) -> [f32; 3] + Sync);
+/// direction to its camera; RGB in the capture's units, `None` where that can't be told. Places with other numbers may be looked at by
+/// other rays.
+pub type Mirrored<'a> = &'a (dyn Fn((u32, Vec2), (usize, Vec3), u32) -> Option<[f32; 3]> + Sync);
 
 impl Seen<'_> {
     /// Glosses of the surface's parts.
@@ -368,7 +373,10 @@ impl Candidate {
         found.retain(Self::among_first(sampling.limit));
         if let Some(mirrored) = seen.mirrored {
             let stops = || sampling.stop.load(Ordering::Relaxed);
-            (found.par_iter_mut().filter(|_| !stops())).for_each(|c| c.take_out(mirrored));
+            let of_use = found.into_par_iter().filter_map(|mut candidate| {
+                (stops() || candidate.take_out(mirrored)).then_some(candidate)
+            });
+            found = of_use.collect();
         }
         if let Some(irradiance) = seen.turning.and_then(|turning| turning.irradiance.as_ref()) {
             let stops = || sampling.stop.load(Ordering::Relaxed);
@@ -378,14 +386,19 @@ impl Candidate {
         found
     }
 
-    /// Leaves what comes straight from the lights and the diffuse body.
-    fn take_out(&mut self, mirrored: Mirrored<'_>) {
+    /// Leaves what comes straight from the lights and the diffuse body; whether that can be told.
+    fn take_out(&mut self, mirrored: Mirrored<'_>) -> bool {
         for row in &mut self.rows {
-            let indirect = mirrored(self.on, (row.view, row.to_camera), self.order.0);
-            for (all, indirect) in row.radiance.iter_mut().zip(indirect) {
-                *all -= indirect;
+            let Some(sent) = mirrored(self.on, (row.view, row.to_camera), self.order.0) else {
+                return false;
+            };
+            let error = MIRRORED_ERROR * magnitude(sent);
+            row.detail = row.detail.hypot(error / DETAIL_SHARE);
+            for (all, sent) in row.radiance.iter_mut().zip(sent) {
+                *all -= sent;
             }
         }
+        true
     }
 }
 
