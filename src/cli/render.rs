@@ -174,12 +174,11 @@ impl<'a> Renderer<'a> {
                 &format!("rendering {}", shot.stem),
                 i as f32 / shots.len() as f32,
             );
-            let picture = match &same {
-                Some(lit) => lit.picture(&shot.camera),
-                None => {
-                    let lighting = solution.lighting_before(&lighting, &shot.camera);
-                    self.renderer.light(&lighting).picture(&shot.camera)
-                }
+            let picture = if let Some(lit) = &same {
+                lit.picture(&shot.camera)
+            } else {
+                let lighting = solution.lighting_before(&lighting, &shot.camera);
+                self.renderer.light(&lighting).picture(&shot.camera)
             };
             self.write(&picture, &shot.stem, layers, staging.path(), &mut files)
                 .map_err(cannot_write(staging.target()))?;

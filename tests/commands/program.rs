@@ -353,6 +353,10 @@ fn a_given_light_is_taken_as_it_is_turned_and_nonsense_is_refused() {
             &["--light", light, "--method", "amuh"],
             "reference methods estimate the light",
         ),
+        (
+            &["--light", light, "--light-frame", "camera"],
+            "lights stand still with the camera",
+        ),
         (&["--light", photograph], "twice as wide as high"),
         (&["--light", "no/such/probe.exr"], "no/such/probe.exr"),
     ] {

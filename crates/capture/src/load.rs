@@ -605,7 +605,7 @@ fn hemisphere(
     mesh: &Mesh,
     warnings: &mut Vec<String>,
 ) -> LightHemisphere {
-    let up = manifest.up.unwrap_or_else(|| {
+    let up = manifest.light_hemisphere.up.unwrap_or_else(|| {
         // Those left out were held upright too, and often stood all around.
         let left_out = manifest.left_out.iter();
         let left_out = left_out.map(|frame| frame.world_from_camera.matrix3.y_axis);
@@ -622,7 +622,7 @@ fn hemisphere(
         ));
         up
     });
-    if let Some(radius) = manifest.radius
+    if let Some(radius) = manifest.light_hemisphere.radius
         && radius <= 0.5 * f64::from(mesh.diagonal())
     {
         warnings.push(format!(
@@ -633,7 +633,7 @@ fn hemisphere(
     }
     LightHemisphere {
         up,
-        radius: manifest.radius,
-        frame: manifest.light_frame,
+        radius: manifest.light_hemisphere.radius,
+        frame: manifest.light_hemisphere.frame,
     }
 }

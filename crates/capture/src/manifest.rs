@@ -33,6 +33,17 @@ const MAX_SIDE: f64 = 65_535.0;
 /// File name endings tried when `file_path` has none, in this order.
 const EXTENSIONS: [&str; 8] = ["exr", "png", "hdr", "tif", "tiff", "jpg", "jpeg", "JPG"];
 
+/// What a manifest says of the light hemisphere.
+#[derive(Debug, Default)]
+pub(super) struct StatedHemisphere {
+    /// Unit vector, if stated.
+    pub up: Option<DVec3>,
+    /// Radius in mesh units, `None` for distant light.
+    pub radius: Option<f64>,
+    /// What the lights stand still with, where that is stated.
+    pub frame: Option<LightFrame>,
+}
+
 /// Everything `transforms.json` says.
 #[derive(Debug)]
 pub(super) struct Manifest {
@@ -46,12 +57,8 @@ pub(super) struct Manifest {
     pub mesh_path: Option<String>,
     /// What brings the mesh of the file into the cameras' frame, a similarity transform.
     pub mesh_transform: Option<DMat4>,
-    /// Unit vector, if stated.
-    pub up: Option<DVec3>,
-    /// Radius of the light hemisphere in mesh units, `None` for distant light.
-    pub radius: Option<f64>,
-    /// What the lights stand still with, where that is stated.
-    pub light_frame: Option<LightFrame>,
+    /// Where the lights are.
+    pub light_hemisphere: StatedHemisphere,
     /// `applied_transform` with `applied_scale`, where the manifest states them.
     pub applied: Option<DMat4>,
     /// Whether cameras are of the pixels as they are stored, whatever the images' orientation.
@@ -377,7 +384,7 @@ impl Manifest {
                 read_frame(&fields, &top, &folder, undo)
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let (up, radius, light_frame) = light_hemisphere(&top)?;
+        let light_hemisphere = light_hemisphere(&top)?;
         let mesh_path = top.text("mesh_path")?.map(str::to_owned);
         let mesh_transform = mesh_transform(&top)?;
         Ok(Self {
@@ -386,9 +393,7 @@ impl Manifest {
             frames,
             mesh_path,
             mesh_transform,
-            up,
-            radius,
-            light_frame,
+            light_hemisphere,
             applied,
             as_stored: false,
             partial: false,
@@ -517,12 +522,10 @@ fn mesh_transform(top: &Fields) -> Result<Option<DMat4>, CaptureError> {
 }
 
 /// `light_hemisphere`: unit up, radius and what the lights stand still with.
-fn light_hemisphere(
-    top: &Fields,
-) -> Result<(Option<DVec3>, Option<f64>, Option<LightFrame>), CaptureError> {
+fn light_hemisphere(top: &Fields) -> Result<StatedHemisphere, CaptureError> {
     const KEY: &str = "light_hemisphere";
     let Some(value) = top.get(KEY) else {
-        return Ok((None, None, None));
+        return Ok(StatedHemisphere::default());
     };
     let fields = Fields::of(top.manifest, KEY, value)?;
     let up = fields
@@ -547,7 +550,11 @@ fn light_hemisphere(
             return Err(fields.error("frame", problem, advice));
         }
     };
-    Ok((up, fields.positive("radius")?, frame))
+    Ok(StatedHemisphere {
+        up,
+        radius: fields.positive("radius")?,
+        frame,
+    })
 }
 
 fn read_frame(

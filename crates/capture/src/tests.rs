@@ -3,7 +3,8 @@
 use super::manifest::Manifest;
 use super::picture::Picture;
 use super::{
-    Camera, Capture, CaptureError, Distortion, mesh_file, obj, ply, polygon, read_cameras,
+    Camera, Capture, CaptureError, Distortion, LightFrame, mesh_file, obj, ply, polygon,
+    read_cameras,
 };
 use glam::{DAffine3, DMat4, DVec2, DVec3, Vec3};
 use rekindle_base::damage::{Random, damaged};
@@ -325,6 +326,8 @@ fn a_capture_has_what_its_files_say() {
     assert!(capture.warnings.is_empty(), "{:?}", capture.warnings);
     assert_eq!(capture.mesh.triangles.len(), 12);
     assert_eq!(capture.light_hemisphere.up, DVec3::Y);
+    assert_eq!(capture.light_hemisphere.frame, None);
+    assert!(capture.motions().is_none());
     assert_eq!(capture.light_hemisphere.radius, None);
     let photograph = &capture.views[0].photograph;
     assert_eq!(photograph.coverage.as_ref().expect("alpha")[6], 0.5);
@@ -1289,7 +1292,7 @@ fn nan_in_a_matrix_is_found_in_json_that_python_wrote() {
 #[test]
 fn every_bad_field_has_its_message() {
     type Change = fn(&mut Value);
-    let cases: [(Change, &str); 16] = [
+    let cases: [(Change, &str); 17] = [
         (|m| m["frames"] = json!([]), "frames is missing or empty"),
         (|m| m["frames"] = json!(7), "frames is the number 7"),
         (
@@ -1338,6 +1341,10 @@ fn every_bad_field_has_its_message() {
         (
             |m| m["light_hemisphere"]["up"] = json!([0, 0, 0]),
             "light_hemisphere.up is not a direction",
+        ),
+        (
+            |m| m["light_hemisphere"]["frame"] = json!("turntable"),
+            "light_hemisphere.frame is \"turntable\"; write \"world\"",
         ),
     ];
     for (change, part) in cases {
@@ -1533,5 +1540,36 @@ fn damaged_manifests_never_panic() {
             fixture.write("transforms.json", &bytes);
             let _ = Capture::load(&folder);
         }
+    }
+}
+
+#[test]
+fn light_that_stands_still_with_the_camera_comes_with_the_motions_to_the_first_view() {
+    let mut fixture = Fixture::new();
+    fixture.manifest["light_hemisphere"]["frame"] = json!("camera");
+    let mut capture = fixture.loaded();
+    assert_eq!(capture.light_hemisphere.frame, Some(LightFrame::Camera));
+    assert!(
+        capture.motions().is_none(),
+        "a single view has light of its own"
+    );
+    let mut second = capture.views[0].clone();
+    let around = DAffine3::from_axis_angle(DVec3::new(0.2, 1.0, 0.0).normalize(), 0.8);
+    second.camera.world_from_camera = around * second.camera.world_from_camera;
+    capture.views.push(second);
+    let motions = capture.motions().unwrap();
+    for (motion, view) in motions.iter().zip(&capture.views) {
+        // What a camera sees in its own coordinates is where the first camera would see the same.
+        let point = DVec3::new(0.3, -0.2, 0.1);
+        let seen = view
+            .camera
+            .world_from_camera
+            .inverse()
+            .transform_point3(point);
+        let by_first = capture.views[0]
+            .camera
+            .world_from_camera
+            .transform_point3(seen);
+        assert_close(motion.transform_point3(point), by_first, 1e-9);
     }
 }

@@ -982,6 +982,29 @@ mod tests {
     }
 
     #[test]
+    fn light_that_stands_still_with_the_camera_comes_back_and_goes_with_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("solution");
+        let mut saved = example();
+        saved.light_frame = LightFrame::Camera;
+        saved.save(&path).unwrap();
+        let read = Solution::load(&path).unwrap();
+        assert_eq!(read.light_frame, LightFrame::Camera);
+        // The first camera sees the light as it is stated; one that went around the object by a quarter has taken it along.
+        let mut camera = read.cameras[0].1.clone();
+        let lighting = read.lighting();
+        let lamp = |camera: &Camera| read.lighting_before(&lighting, camera).lamps[0].direction;
+        let before = lighting.lamps[0].direction;
+        assert!(lamp(&camera).distance(before) < 1e-5);
+        let quarter = DAffine3::from_axis_angle(DVec3::Y, std::f64::consts::FRAC_PI_2);
+        camera.world_from_camera = quarter * camera.world_from_camera;
+        let taken_along = quarter.transform_vector3(before.as_dvec3()).as_vec3();
+        assert!(lamp(&camera).distance(taken_along) < 1e-5);
+        // Light that stands still with the object stays.
+        assert!(example().lighting_before(&lighting, &camera).as_ref() == &lighting);
+    }
+
+    #[test]
     fn light_below_the_horizon_comes_back() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("solution");

@@ -32,7 +32,7 @@ use rekindle_scene::hemisphere::{
     rest,
 };
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
-use rekindle_scene::shortcuts::Shortcuts;
+use rekindle_scene::shortcuts::{LeftOut, Shortcuts};
 use rekindle_scene::surface::{
     Atlas, GlossTexture, MinimumTexture, Occluder, ViewSurface, minimum_texture, wanted_density,
 };
@@ -139,14 +139,8 @@ pub fn solve_under(
     };
     let mut measured = Measured::new(&stated.mesh, &stated.views, observer, SURFACE)?;
     let given = stated;
-    let mut framed = framed(given, options);
-    let grid = hemisphere(&framed, options, light);
-    let turns = framed.light_hemisphere.frame.is_none()
-        && light.is_none()
-        && stands_with_camera(&measured.input(&framed, &grid), observer)?;
-    if turns {
-        framed.to_mut().light_hemisphere.frame = Some(LightFrame::Camera);
-    }
+    let grid = hemisphere(given, options, light);
+    let (framed, turns) = framed(given, options, light, (&measured, &grid), observer)?;
     let (stated, outlined) = within_outlines(&framed, &measured.surfaces);
     let stated = stated.as_ref();
     let (mut capture, mut corrections) = if options.estimate.as_stated {
@@ -182,63 +176,27 @@ pub fn solve_under(
         let input = measured.input(&capture, &grid);
         found = without_mirrored(&input, &options.estimate, found, &mut Part { observer })?;
     }
-    let mesh = &capture.mesh;
-    let surfaces = std::mem::take(&mut measured.surfaces);
-    let shortcuts = Shortcuts::without(options.estimate.avoided);
-    let sight = |surfaces| Sight {
-        mesh,
-        surfaces,
-        measured: &measured,
-        views: &capture.views,
-        shortcuts: &shortcuts,
-    };
-    let self_lit = match &motions {
-        Some(motions) => {
-            let gloss = gloss(&found, mesh, &measured.atlas, &minimum);
-            SelfLit::new(
-                sight(surfaces.clone()),
-                gloss.as_ref(),
-                &found,
-                motions,
-                observer,
-            )?
-        }
-        None => None,
-    };
-    let sent = (self_lit.as_ref()).map_or_else(Vec::new, SelfLit::surroundings);
-    if let Some(self_lit) = &self_lit {
-        let input = EstimateInput {
-            surfaces: &surfaces,
-            ..measured.input(&capture, &grid)
-        };
-        let part = &mut Part { observer };
-        found = self_lit.without_sent(&input, &options.estimate, found, &sent, part)?;
-    }
-    clock.lap("estimate");
-
-    let lamps = name_lamps(&found, known_light.is_some());
-    let gloss = gloss(&found, mesh, &measured.atlas, &minimum);
-    let lobe = (found.brdf, gloss.as_ref());
-    let lit = match &motions {
-        Some(motions) => Light::Turning(lightings(&found, motions), &sent),
-        None => {
-            let lobe = (found.brdf, known_light.as_ref());
-            let lit = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, lobe);
-            Light::Still(lit, Ambient::beside(light.is_some()))
-        }
-    };
-    let sight = sight(surfaces);
-    let (mut texture, albedo) = textures(sight, lobe, lit, &minimum, &mut clock, observer)?;
+    let on = (capture.as_ref(), &grid, &minimum);
+    let given_light = known_light.as_ref();
+    let with = (&options.estimate, given_light);
+    let (found, looks) = looks(&mut measured, on, with, found, &mut clock, observer)?;
+    let Looks {
+        lamps,
+        mut texture,
+        albedo,
+        gloss,
+        left_out,
+    } = looks;
     let atlas = measured.atlas;
 
     let is_placed = misplaced.is_empty();
     let mut skipped = skipped(&found, &corrections);
-    skipped.left_out.extend(shortcuts.counted());
+    skipped.left_out.extend(left_out);
     round_to_halves(&mut texture.confidence);
     let warnings = [
         given.warnings.clone(),
         outlined.into_iter().collect(),
-        turns.then(|| TURNS.to_owned()).into_iter().collect(),
+        turns.into_iter().collect(),
         describe(&corrections),
         atlas.warnings.clone(),
         misplaced,
@@ -266,7 +224,7 @@ pub fn solve_under(
         timings: clock.stages,
         convergence: found.convergence,
         cameras: cameras(&capture.views),
-        mesh: mesh.clone(),
+        mesh: capture.mesh.clone(),
         atlas,
         diffuse: rounded(texture.radiance),
         albedo: rounded(albedo.albedo),
@@ -276,14 +234,96 @@ pub fn solve_under(
     })
 }
 
-/// The capture with lights that stand still with what the options say.
-fn framed<'c>(capture: &'c Capture, options: &SolveOptions) -> Cow<'c, Capture> {
+/// The capture with lights that stand still with what the options or it itself say, or with what its diffuse part shows, which is then
+/// told.
+fn framed<'c>(
+    capture: &'c Capture,
+    options: &SolveOptions,
+    light: Option<&LightProbe>,
+    (measured, grid): (&Measured, &HemisphereGrid),
+    observer: &mut dyn Observer,
+) -> Result<(Cow<'c, Capture>, Option<String>), Stopped> {
     let mut framed = Cow::Borrowed(capture);
     let stated = capture.light_hemisphere.frame;
     if options.light_frame.is_some() && options.light_frame != stated {
         framed.to_mut().light_hemisphere.frame = options.light_frame;
     }
-    framed
+    let is_open = framed.light_hemisphere.frame.is_none() && light.is_none();
+    if is_open && stands_with_camera(&measured.input(&framed, grid), observer)? {
+        framed.to_mut().light_hemisphere.frame = Some(LightFrame::Camera);
+        return Ok((framed, Some(TURNS.to_owned())));
+    }
+    Ok((framed, None))
+}
+
+/// What the surface looks like by itself, and the lamps without which it looks so.
+struct Looks {
+    lamps: Vec<SolutionLamp>,
+    texture: DiffuseTexture,
+    albedo: Albedo,
+    gloss: Option<GlossTexture>,
+    left_out: Vec<LeftOut>,
+}
+
+/// The textures under the light that was found, which is looked for once more where an object that turns lights itself.
+fn looks(
+    measured: &mut Measured,
+    (capture, grid, minimum): (&Capture, &HemisphereGrid, &MinimumTexture),
+    (params, known_light): (&EstimateParams, Option<&KnownLight>),
+    mut found: Estimate,
+    clock: &mut Clock,
+    observer: &mut dyn Observer,
+) -> Result<(Estimate, Looks), Stopped> {
+    let mesh = &capture.mesh;
+    let surfaces = std::mem::take(&mut measured.surfaces);
+    let measured = &*measured;
+    let shortcuts = Shortcuts::without(params.avoided);
+    let sight = |surfaces| Sight {
+        mesh,
+        surfaces,
+        measured,
+        views: &capture.views,
+        shortcuts: &shortcuts,
+    };
+    let motions = capture.motions();
+    let self_lit = match &motions {
+        Some(motions) => {
+            let gloss = gloss(&found, mesh, &measured.atlas, minimum);
+            let own = sight(surfaces.clone());
+            SelfLit::new(own, gloss.as_ref(), &found, motions, observer)?
+        }
+        None => None,
+    };
+    let sent = (self_lit.as_ref()).map_or_else(Vec::new, SelfLit::surroundings);
+    if let Some(self_lit) = &self_lit {
+        let input = EstimateInput {
+            surfaces: &surfaces,
+            ..measured.input(capture, grid)
+        };
+        let part = &mut Part { observer };
+        found = self_lit.without_sent(&input, params, found, &sent, part)?;
+    }
+    clock.lap("estimate");
+
+    let lamps = name_lamps(&found, known_light.is_some());
+    let gloss = gloss(&found, mesh, &measured.atlas, minimum);
+    let light = if let Some(motions) = &motions {
+        Light::Turning(lightings(&found, motions), &sent)
+    } else {
+        let lobe = (found.brdf, known_light);
+        let lit = lighting(&found.grid, &found.radiance, &lamps, Vec3::ZERO, lobe);
+        Light::Still(lit, Ambient::beside(known_light.is_some()))
+    };
+    let lobe = (found.brdf, gloss.as_ref());
+    let (texture, albedo) = textures(sight(surfaces), lobe, light, minimum, clock, observer)?;
+    let looks = Looks {
+        lamps,
+        texture,
+        albedo,
+        gloss,
+        left_out: shortcuts.counted(),
+    };
+    Ok((found, looks))
 }
 
 /// The diagnostics with what was said before them; a mesh has to lie where photographs show it.

@@ -95,17 +95,14 @@ impl Design<'_> {
         let point = &self.observations.points[index];
         for k in point.rows.clone() {
             let row = &self.observations.rows[k];
-            let (normal, to_camera) = match row.placed {
-                Some(placed) => {
-                    lobes.light(placed.position, placed.normal, self.seen.of(k), light);
-                    (placed.normal, placed.to_camera)
+            let (normal, to_camera) = if let Some(placed) = row.placed {
+                lobes.light(placed.position, placed.normal, self.seen.of(k), light);
+                (placed.normal, placed.to_camera)
+            } else {
+                if k == point.rows.start {
+                    lobes.light(point.position, point.normal, self.seen.of(index), light);
                 }
-                None => {
-                    if k == point.rows.start {
-                        lobes.light(point.position, point.normal, self.seen.of(index), light);
-                    }
-                    (point.normal, row.to_camera)
-                }
+                (point.normal, row.to_camera)
             };
             each(k, &lobes.brdf().view_terms(normal, to_camera), light);
         }

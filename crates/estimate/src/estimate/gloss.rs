@@ -4,7 +4,7 @@
 //! views. A few glosses are sought with which the points together are explained best; each point's part is then decided with
 //! its neighbours, of like colour above all, so that places that no highlight reached have the gloss of their surroundings
 //! (random walks from points that know to points that don't, after Grady, "Random Walks for Image Segmentation", 2006). A
-//! further gloss counts where points that had no say in it are explained better by it, beyond chance.
+//! further gloss counts where it explains views that had no say in it better, beyond chance.
 
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -400,15 +400,12 @@ fn begin(
     shortcuts: &Shortcuts,
     watcher: &Watcher<'_>,
 ) -> Result<Estimate, Stopped> {
-    match input.capture.motions() {
-        Some(motions) => {
-            let motions = motions.iter().map(Motion::new).collect();
-            on_turntable(input, params, shortcuts, watcher, motions)
-        }
-        None => {
-            let start = input.first.map_or_else(Start::default, Start::after);
-            run(input, params, shortcuts, watcher, (start, None))
-        }
+    if let Some(motions) = input.capture.motions() {
+        let motions = motions.iter().map(Motion::new).collect();
+        on_turntable(input, params, shortcuts, watcher, motions)
+    } else {
+        let start = input.first.map_or_else(Start::default, Start::after);
+        run(input, params, shortcuts, watcher, (start, None))
     }
 }
 

@@ -580,3 +580,83 @@ fn a_metal_is_estimated_again_without_what_it_mirrors_of_itself() {
     let (once, twice) = (once.misfit.unwrap(), twice.fit.misfit.unwrap());
     assert!(twice < 0.5 * once, "{twice} after {once}");
 }
+
+/// A figure with shadows that turns before one camera.
+fn turned(change: impl FnOnce(&mut Recipe)) -> TempDir {
+    made(|recipe| {
+        recipe.object = Object::Torus;
+        recipe.triangles = 20_000;
+        recipe.material = Material::paper(0.1, 0.4);
+        recipe.sensor.noise = 0.005;
+        recipe.views.count = 8;
+        recipe.views.arc = 300.0_f32.to_radians();
+        recipe.views.size = [160, 120];
+        recipe.views.turntable = true;
+        change(recipe);
+    })
+}
+
+#[test]
+fn a_plain_ball_that_turns_looks_the_same_in_all_views() {
+    let folder = turned(|recipe| {
+        recipe.object = Object::Sphere;
+        recipe.triangles = 20_000;
+        recipe.texture_contrast = 0.0;
+        recipe.sensor.noise = 0.0;
+    });
+    let capture = load(&folder);
+    let picture = |view: &View| {
+        let pixels = view.photograph.radiance.iter();
+        pixels.map(|p| f64::from(p[1])).collect::<Vec<_>>()
+    };
+    let first = picture(&capture.views[0]);
+    let mean = first.iter().sum::<f64>() / first.len() as f64;
+    for view in &capture.views[1..] {
+        let off = picture(view)
+            .iter()
+            .zip(&first)
+            .map(|(a, b)| (a - b).abs())
+            .sum::<f64>();
+        let off = off / first.len() as f64 / mean;
+        assert!(off < 0.02, "{}: {off}", view.name);
+    }
+}
+
+#[test]
+fn light_that_stands_still_with_the_camera_is_found_and_told_from_light_that_does_not() {
+    let folder = turned(|_| {});
+    let truth = Truth::load(&folder.path().join("made")).unwrap();
+    let stated = load(&folder);
+    assert_eq!(stated.light_hemisphere.frame, Some(LightFrame::Camera));
+    // Nothing says that the object was turned.
+    let mut unstated = stated.clone();
+    unstated.light_hemisphere.frame = None;
+    let options = SolveOptions {
+        estimate: EstimateParams::default(),
+        frequency: 70,
+        radius: None,
+        light_frame: None,
+    };
+    let found = solve(&unstated, &options, 0.0, &mut Unobserved).unwrap();
+    assert_eq!(found.light_frame, LightFrame::Camera);
+    let warnings = &found.diagnostics.warnings;
+    assert!(
+        warnings.iter().any(|w| w.contains("turntable")),
+        "{warnings:?}"
+    );
+    let lamps: Vec<FoundLamp> = found.lamps.iter().map(Into::into).collect();
+    let measures = Measures::new(&truth, found.grid.up);
+    let sigma = found.brdf.map(|brdf| brdf.sigma);
+    let errors = measures.errors(sigma, &lamps, &found.grid, &found.radiance);
+    assert_eq!(found.lamps.len(), 2);
+    assert!(errors.sigma.unwrap().abs() < 0.03, "{errors:?}");
+    assert!(errors.direction_deg.unwrap() < 0.5, "{errors:?}");
+    assert!(errors.flux.unwrap() < 0.03, "{errors:?}");
+    // Under its light as it stands to each camera the texture gives the photographs back.
+    let fit = &found.fit.psnr_db_per_view;
+    assert!(fit.iter().all(|&psnr| psnr > 35.0), "{fit:?}");
+
+    let still = turned(|recipe| recipe.views.turntable = false);
+    assert_eq!(load(&still).light_hemisphere.frame, None);
+    assert_eq!(solved(&still).light_frame, LightFrame::World);
+}

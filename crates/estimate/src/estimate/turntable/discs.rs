@@ -56,7 +56,8 @@ impl Disc {
             let (sin, cos) = (k as f32 * GOLDEN_ANGLE).sin_cos();
             let out = self.radius * ((k as f32 + 0.5) / SOURCES as f32).sqrt();
             Source {
-                direction: (self.direction + out * (cos * across + sin * along)).normalize(),
+                direction: (self.direction + out * (cos * across + sin * along))
+                    .normalize_or(self.direction),
                 flux: self.flux / SOURCES as f32,
             }
         };
@@ -71,7 +72,7 @@ impl Disc {
         let (across, along) = self.direction.any_orthonormal_pair();
         let [u, v, wider] = by.map(|shift| shift as f32);
         Self {
-            direction: (self.direction + u * across + v * along).normalize(),
+            direction: (self.direction + u * across + v * along).normalize_or(self.direction),
             radius: (self.radius * wider.exp()).clamp(RADII[0], RADII[1]),
             ..*self
         }
