@@ -148,6 +148,7 @@ fn observations() -> Observations {
         surfaces: &DEMO.surfaces,
         parts: None,
         mirrored: None,
+        turning: None,
     };
     let sampling = Sampling {
         candidates: POINTS,

@@ -1554,7 +1554,7 @@ fn light_that_stands_still_with_the_camera_comes_with_the_motions_to_the_first_v
         "a single view has light of its own"
     );
     let mut second = capture.views[0].clone();
-    let around = DAffine3::from_axis_angle(DVec3::new(0.2, 1.0, 0.0).normalize(), 0.8);
+    let around = DAffine3::from_axis_angle(DVec3::new(0.2, 1.0, 0.0).normalize_or_zero(), 0.8);
     second.camera.world_from_camera = around * second.camera.world_from_camera;
     capture.views.push(second);
     let motions = capture.motions().unwrap();

@@ -569,6 +569,7 @@ mod tests {
                 index,
                 scale: 0.25,
                 target: Vec3::new(1.0, 2.0, uniform(5000 + index)),
+                irradiance: None,
                 weight: uniform(6000 + index),
             };
             view.push(&pixel, taps.iter().map(|&at| Tap::new(at, size)));
