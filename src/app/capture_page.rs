@@ -304,7 +304,8 @@ impl CapturePage {
 
     fn facts_ui(&self, ui: &mut egui::Ui) {
         let report = &self.opened().report;
-        ui.heading(&report.capture);
+        ui.heading(&report.capture)
+            .on_hover_text(format!("Read in {:.1} s", self.opened().load_s));
         ui.add_space(4.0);
         let [none, one, two, more] = report.seen_by.map(|share| 100.0 * share);
         let views = report.views.len();
@@ -312,25 +313,21 @@ impl CapturePage {
         let radius = report
             .radius
             .map_or("distant".to_owned(), |r| format!("at distance {r}"));
+        let turning = match report.light_frame {
+            Some(LightFrame::Camera) => ", still with the camera",
+            Some(LightFrame::World) | None => "",
+        };
         let facts = [
             (
                 "Views",
                 format!("{views} of {}×{}", first.width, first.height),
             ),
             ("Triangles", grouped(report.mesh.triangles)),
-            ("Lights", radius),
-            (
-                "Lights still with",
-                report
-                    .light_frame
-                    .map_or("Not stated", still_with)
-                    .to_owned(),
-            ),
+            ("Lights", radius + turning),
             ("Seen by 3 or more", format!("{more:.1} %")),
             ("Seen by 2", format!("{two:.1} %")),
             ("Seen by 1", format!("{one:.1} %")),
             ("Not seen", format!("{none:.1} %")),
-            ("Read in", format!("{:.1} s", self.opened().load_s)),
         ];
         Grid::new("facts").num_columns(2).show(ui, |ui| {
             for (name, value) in facts {
