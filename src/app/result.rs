@@ -6,6 +6,7 @@ use super::capture_page::roughness_slider;
 use super::commands::Action;
 use super::theme::{self, Mark};
 use super::{Request, Shared};
+use rekindle_capture::LightFrame;
 use rekindle_estimate::estimate::Method;
 use rekindle_estimate::registration::{Correction, describe};
 use rekindle_solution::{KnownLight, Solution};
@@ -242,7 +243,11 @@ fn surface_ui(ui: &mut egui::Ui, solution: &Solution) {
     } else {
         "How many lights were found; each can be moved, dimmed and coloured"
     };
-    tell("Lights", solution.lamps.len().to_string(), tip);
+    let mut lights = solution.lamps.len().to_string();
+    if solution.light_frame == LightFrame::Camera {
+        lights += ", still with the camera; here as they stood in the first view";
+    }
+    tell("Lights", lights, tip);
     if let Some(misfit) = solution.fit.misfit {
         let value = format!("{:.1} % beyond noise", 100.0 * misfit);
         let tip = "The part of the highlights that roughness and lights leave unexplained, apart from noise of the photographs";

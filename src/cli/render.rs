@@ -10,7 +10,7 @@ use super::interrupt;
 use super::progress::Progress;
 use super::{OutputArgs, json_path, print_json, print_line};
 use rekindle_base::staging::{Staging, cannot_write, check_added};
-use rekindle_capture::{Camera, LightFrame, input_files, read_cameras};
+use rekindle_capture::{Camera, input_files, read_cameras};
 use rekindle_output::export::{self, Depth, PngFile, Shown};
 use rekindle_relight::{self as relight, Edit, Picture};
 use rekindle_solution::{Solution, own_files, solution_folder, write_rgb, write_rgba};
@@ -162,11 +162,7 @@ impl<'a> Renderer<'a> {
         progress: &mut Progress,
     ) -> anyhow::Result<Vec<String>> {
         let lighting = relight::apply(edits, self.renderer.original())?;
-        let solution = self.renderer.solution();
-        let same = match solution.light_frame {
-            LightFrame::World => Some(self.renderer.light(&lighting)),
-            LightFrame::Camera => None,
-        };
+        let photographer = export::Photographer::new(&self.renderer, &lighting);
         let mut files = Vec::new();
         for (i, shot) in shots.iter().enumerate() {
             interrupt::check()?;
@@ -174,12 +170,7 @@ impl<'a> Renderer<'a> {
                 &format!("rendering {}", shot.stem),
                 i as f32 / shots.len() as f32,
             );
-            let picture = if let Some(lit) = &same {
-                lit.picture(&shot.camera)
-            } else {
-                let lighting = solution.lighting_before(&lighting, &shot.camera);
-                self.renderer.light(&lighting).picture(&shot.camera)
-            };
+            let picture = photographer.picture(&shot.camera);
             self.write(&picture, &shot.stem, layers, staging.path(), &mut files)
                 .map_err(cannot_write(staging.target()))?;
         }

@@ -16,7 +16,7 @@ use super::table::{cell, with_unit};
 use rekindle_base::math::median;
 use rekindle_capture::{Capture, Photograph, View};
 use rekindle_estimate::estimate::{Iteration, Observer};
-use rekindle_output::export::Renderer;
+use rekindle_output::export::{Photographer, Renderer};
 use rekindle_relight::{Picture, brighter_than, psnr_below, white};
 use rekindle_solution::{SolveOptions, diffuse_alone, solve};
 
@@ -119,7 +119,7 @@ fn predict(
     let solution = solve(&others, options, 0.0, &mut Stopping(audience));
     let solution = solution.map_err(|_| BenchError::Stopped)?;
     let renderer = Renderer::new(&solution);
-    let lit = renderer.light(renderer.original()).picture(&view.camera);
+    let lit = Photographer::new(&renderer, renderer.original()).picture(&view.camera);
     let cameras = std::slice::from_ref(&view.camera);
     let mut diffuse = diffuse_alone(&others, &solution, cameras);
     let (Some(predicted), Some(diffuse)) = (

@@ -8,7 +8,7 @@ use super::Audience;
 use super::error::BenchError;
 use super::truth::Truth;
 use rekindle_capture::{Covered, read_cameras, read_covered};
-use rekindle_output::export::{LitScene, Renderer};
+use rekindle_output::export::{Photographer, Renderer};
 use rekindle_relight::{Picture, apply, psnr};
 use rekindle_solution::Solution;
 
@@ -64,13 +64,16 @@ pub(super) fn compare(
     let origin = solution.mesh.origin;
     let mut errors = ViewErrors::default();
     if let Some(cameras) = &truth.novel {
-        let lit = renderer.light(renderer.original());
-        errors.novel = views(&lit, cameras, origin, audience)?;
+        let captured = Photographer::new(&renderer, renderer.original());
+        errors.novel = views(&captured, cameras, origin, audience)?;
     }
     for case in &truth.relit {
         // What a solution without lamps looks like under one of them can't be said.
         let values = match apply(&case.edits, renderer.original()) {
-            Ok(light) => views(&renderer.light(&light), &case.cameras, origin, audience)?,
+            Ok(light) => {
+                let photographer = Photographer::new(&renderer, &light);
+                views(&photographer, &case.cameras, origin, audience)?
+            }
             Err(_) if solution.lamps.is_empty() => Vec::new(),
             Err(error) => return Err(error.into()),
         };
@@ -81,7 +84,7 @@ pub(super) fn compare(
 
 /// PSNR of every view of a `transforms.json` beside whose frames the true pictures lie.
 fn views(
-    lit: &LitScene,
+    photographer: &Photographer<'_>,
     cameras: &Path,
     origin: DVec3,
     audience: &dyn Audience,
@@ -94,7 +97,7 @@ fn views(
                 return Err(BenchError::Stopped);
             }
             let reference = read_covered(&folder.join(name))?;
-            Ok(inside(&reference, &lit.picture(&camera)))
+            Ok(inside(&reference, &photographer.picture(&camera)))
         })
         .collect()
 }

@@ -1,6 +1,6 @@
 //! What the estimate withstands: one thing at a time is made worse, from sound to hopeless.
 
-use std::f32::consts::FRAC_PI_2;
+use std::f32::consts::{FRAC_PI_2, TAU};
 
 use glam::Vec3;
 
@@ -266,6 +266,17 @@ fn photographs(base: &Recipe) -> Vec<Group> {
             &[5.0, 20.0, 60.0, 150.0, 300.0],
             |recipe, degrees| {
                 recipe.views.arc = degrees.to_radians() as f32;
+            },
+        ),
+        Group::sweep(
+            "turntable",
+            "views of an object that turns all around",
+            base,
+            &[6.0, 8.0, 12.0, 24.0],
+            |recipe, count| {
+                recipe.views.count = count as u32;
+                recipe.views.turntable = true;
+                recipe.views.arc = TAU * (1.0 - 1.0 / count as f32);
             },
         ),
         Group::sweep(

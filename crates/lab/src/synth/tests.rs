@@ -15,6 +15,8 @@ use rekindle_capture::{Capture, Mesh, Origin, View, read_cameras, read_covered};
 use rekindle_estimate::estimate::{EstimateInput, EstimateParams, Unobserved, bears_out, estimate};
 use rekindle_estimate::preflight::{self, Severity};
 use rekindle_estimate::registration::evened;
+use rekindle_output::export::{Photographer, Renderer};
+use rekindle_relight::psnr;
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::surface::{Occluder, ViewSurface};
@@ -624,7 +626,7 @@ fn a_plain_ball_that_turns_looks_the_same_in_all_views() {
 
 #[test]
 fn light_that_stands_still_with_the_camera_is_found_and_told_from_light_that_does_not() {
-    let folder = turned(|_| {});
+    let folder = turned(|recipe| recipe.truth_pictures = true);
     let truth = Truth::load(&folder.path().join("made")).unwrap();
     let stated = load(&folder);
     assert_eq!(stated.light_hemisphere.frame, Some(LightFrame::Camera));
@@ -655,6 +657,26 @@ fn light_that_stands_still_with_the_camera_is_found_and_told_from_light_that_doe
     // Under its light as it stands to each camera the texture gives the photographs back.
     let fit = &found.fit.psnr_db_per_view;
     assert!(fit.iter().all(|&psnr| psnr > 35.0), "{fit:?}");
+
+    // Elsewhere too: from other sides, each under the light as it stands to its camera.
+    let renderer = Renderer::new(&found);
+    let photographer = Photographer::new(&renderer, renderer.original());
+    let truth = folder.path().join("made/truth/novel");
+    for (name, camera) in read_cameras(&truth.join("transforms.json"), found.mesh.origin).unwrap() {
+        let wanted = read_covered(&truth.join(&name)).unwrap();
+        let picture = photographer.picture(&camera);
+        let inside: Vec<usize> = (0..wanted.coverage.len())
+            .filter(|&i| wanted.coverage[i] > 0.999)
+            .collect();
+        let shown = |i: &usize| Vec3::from(picture.diffuse[*i]) + Vec3::from(picture.specular[*i]);
+        let wanted: Vec<Vec3> = inside.iter().map(|&i| wanted.radiance[i].into()).collect();
+        let shown: Vec<Vec3> = inside.iter().map(shown).collect();
+        assert!(
+            psnr(&wanted, &shown) > 35.0,
+            "{name}: {}",
+            psnr(&wanted, &shown)
+        );
+    }
 
     let still = turned(|recipe| recipe.views.turntable = false);
     assert_eq!(load(&still).light_hemisphere.frame, None);

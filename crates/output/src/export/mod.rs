@@ -7,6 +7,7 @@ mod exr_bands;
 mod job;
 mod layers;
 mod motion;
+mod photographer;
 mod png_file;
 mod renderer;
 #[cfg(test)]
@@ -14,5 +15,6 @@ mod tests;
 
 pub use job::{ExportError, Job, MAX_ANIMATION_SIDE, MAX_SIDE, Shot, export};
 pub use motion::{lamp_circle, turntable, with_size};
+pub use photographer::Photographer;
 pub use png_file::{Depth, PngFile, Shown};
 pub use renderer::{LitScene, Renderer};
