@@ -56,6 +56,9 @@ const ESTIMATE: (&str, f32) = ("estimating roughness and lights", 0.15);
 const TEXTURE: (&str, f32) = ("reconstructing the texture", 0.70);
 const ALBEDO: (&str, f32) = ("separating texture and shading", 0.90);
 
+/// Photographs of an object that turned come out at 35 to 58 dB where lights and albedo are right, and at 20 to 33 dB where they are not.
+const ALIKE_DB: f32 = 34.0;
+
 /// What is said where a capture turns out to be of an object that was turned.
 const TURNS: &str = "The lights are taken to stand still with the camera, as on a turntable: that explains how the diffuse part \
     differs from view to view, and lights that stand still with the object do not. If it is not so, say that they do (--light-frame world).";
@@ -189,7 +192,8 @@ pub fn solve_under(
     } = looks;
     let atlas = measured.atlas;
 
-    let is_placed = misplaced.is_empty();
+    let unlike = (motions.as_ref()).and_then(|_| unlike_photographs(&texture.fit));
+    let is_sound = misplaced.is_empty() && unlike.is_none();
     let mut skipped = skipped(&found, &corrections);
     skipped.left_out.extend(left_out);
     round_to_halves(&mut texture.confidence);
@@ -200,6 +204,7 @@ pub fn solve_under(
         describe(&corrections),
         atlas.warnings.clone(),
         misplaced,
+        unlike.into_iter().collect(),
     ];
     Ok(Solution {
         name: stated.name.clone(),
@@ -215,7 +220,7 @@ pub fn solve_under(
         radiance: found.radiance,
         lamps,
         ambient: albedo.ambient,
-        diagnostics: with_warnings(found.diagnostics, is_placed, &warnings),
+        diagnostics: with_warnings(found.diagnostics, is_sound, &warnings),
         fit: Fit {
             misfit: found.misfit,
             ..summarise(&texture.fit)
@@ -286,16 +291,27 @@ fn looks(
         shortcuts: &shortcuts,
     };
     let motions = capture.motions();
+    let first_gloss = gloss(&found, mesh, &measured.atlas, minimum);
+    let first_gloss = first_gloss.as_ref();
     let self_lit = match &motions {
-        Some(motions) => {
-            let gloss = gloss(&found, mesh, &measured.atlas, minimum);
-            let own = sight(surfaces.clone());
-            SelfLit::new(own, gloss.as_ref(), &found, motions, observer)?
-        }
+        Some(motions) => SelfLit::new(
+            sight(surfaces.clone()),
+            first_gloss,
+            &found,
+            motions,
+            observer,
+        )?,
         None => None,
     };
-    let sent = (self_lit.as_ref()).map_or_else(Vec::new, SelfLit::surroundings);
-    if let Some(self_lit) = &self_lit {
+    let mut sent = (self_lit.as_ref()).map_or_else(Vec::new, SelfLit::surroundings);
+    if let Some(self_lit) = &self_lit
+        && !self_lit.is_borne_out(sight(surfaces.clone()), first_gloss, &sent, observer)?
+    {
+        sent.clear();
+    }
+    if let Some(self_lit) = &self_lit
+        && !sent.is_empty()
+    {
         let input = EstimateInput {
             surfaces: &surfaces,
             ..measured.input(capture, grid)
@@ -326,10 +342,22 @@ fn looks(
     Ok((found, looks))
 }
 
-/// The diagnostics with what was said before them; a mesh has to lie where photographs show it.
-fn with_warnings(found: Diagnostics, is_placed: bool, before: &[Vec<String>]) -> Diagnostics {
+/// What is said of photographs of an object that turned, where its albedo under the lights doesn't give them back.
+fn unlike_photographs(fit: &[ViewFit]) -> Option<String> {
+    let mean = fit.iter().map(|view| view.psnr_db).sum::<f32>() / fit.len().max(1) as f32;
+    (mean < ALIKE_DB).then(|| {
+        format!(
+            "Under the lights that were found the photographs come out at {mean:.0} dB only: how the shading changes as the object turns is \
+             not explained, and the lights or the albedo are wrong in part. More or larger photographs help, and so does the same \
+             exposure for all."
+        )
+    })
+}
+
+/// The diagnostics with what was said before them; a mesh has to lie where photographs show it, and these have to be given back.
+fn with_warnings(found: Diagnostics, is_sound: bool, before: &[Vec<String>]) -> Diagnostics {
     Diagnostics {
-        well_posed: found.well_posed && is_placed,
+        well_posed: found.well_posed && is_sound,
         warnings: [before.concat(), found.warnings].concat(),
         ..found
     }

@@ -14,8 +14,8 @@ use rekindle_estimate::estimate::{
     Estimate, EstimateInput, EstimateParams, First, Method, Observer, Stopped, estimate, watched,
 };
 use rekindle_relight::{
-    GlossMap, Interreflection, LightOfViews, Lighting, Scene, Shader, Surroundings, ViewLight,
-    ambient_gain, filled_albedo, reconstruct,
+    DiffuseTexture, GlossMap, Interreflection, LightOfViews, Lighting, Scene, Shader, Surroundings,
+    ViewLight, ambient_gain, filled_albedo, reconstruct,
 };
 use rekindle_scene::reflectance::Brdf;
 use rekindle_scene::surface::{GlossTexture, Texel};
@@ -41,6 +41,8 @@ pub struct SelfLit<'a> {
     lightings: Vec<Lighting>,
     /// Diffuse radiance of every texel over its direct irradiance, RGB.
     factor: Vec<[f32; 3]>,
+    /// What a texture leaves of the views as if the surface did not light itself, squared.
+    left: f64,
 }
 
 impl<'a> SelfLit<'a> {
@@ -58,15 +60,31 @@ impl<'a> SelfLit<'a> {
             return Ok(None);
         };
         let lightings = lightings(found, motions);
-        let factor = factor(sight, (brdf, gloss), &lightings, observer)?;
+        let atlas = &measured.atlas;
+        let texture = texture(sight, (brdf, gloss), (&lightings, &[]), observer)?;
+        let scene = plain(mesh, measured, brdf);
         Ok(Some(Self {
+            factor: filled_albedo(&scene, atlas, &texture),
+            left: left(&texture),
             mesh,
             measured,
             brdf,
             around,
             lightings,
-            factor,
         }))
+    }
+
+    /// Whether views are explained better where the surface lights itself as `sent` says: how strongly it does follows from the form of
+    /// the lobe, which may be wrong.
+    pub fn is_borne_out(
+        &self,
+        sight: Sight<'_>,
+        gloss: Option<&GlossTexture>,
+        sent: &[Surroundings<'_>],
+        observer: &mut dyn Observer,
+    ) -> Result<bool, Stopped> {
+        let texture = texture(sight, (self.brdf, gloss), (&self.lightings, sent), observer)?;
+        Ok(left(&texture) < self.left)
     }
 
     fn shader(&self, view: usize) -> Shader<'_> {
@@ -98,13 +116,7 @@ impl<'a> SelfLit<'a> {
             return Ok(first);
         }
         let (mesh, atlas, brdf) = (self.mesh, &self.measured.atlas, self.brdf);
-        let scene = Scene {
-            mesh,
-            occluder: &self.measured.occluder,
-            brdf: Some(brdf),
-            gloss: None,
-            surroundings: None,
-        };
+        let scene = plain(mesh, self.measured, brdf);
         let shaders: Vec<Shader<'_>> = (0..sent.len()).map(|view| self.shader(view)).collect();
         let albedo = self.albedo(sent);
         let mirrored = |place: (u32, Vec2), (view, to_camera): (usize, Vec3), number: u32| {
@@ -150,34 +162,50 @@ impl<'a> SelfLit<'a> {
     }
 }
 
-/// Diffuse radiance of every texel over its direct irradiance, RGB, as views under these lights show it.
-fn factor(
+/// A surface of one gloss.
+fn plain<'a>(mesh: &'a Mesh, measured: &'a Measured, brdf: Brdf) -> Scene<'a> {
+    Scene {
+        mesh,
+        occluder: &measured.occluder,
+        brdf: Some(brdf),
+        gloss: None,
+        surroundings: None,
+    }
+}
+
+/// What a texture leaves of its views, squared.
+fn left(texture: &DiffuseTexture) -> f64 {
+    texture.fit.iter().map(|view| view.squared).sum()
+}
+
+/// The texture of albedo that views show under these lights, with what surrounds each place in each view, where that is given.
+fn texture(
     sight: Sight<'_>,
     (brdf, gloss): (Brdf, Option<&GlossTexture>),
-    lightings: &[Lighting],
+    (lightings, sent): (&[Lighting], &[Surroundings<'_>]),
     observer: &mut dyn Observer,
-) -> Result<Vec<[f32; 3]>, Stopped> {
+) -> Result<DiffuseTexture, Stopped> {
     watched(observer, |watcher| {
         let mut observer = watcher;
         report_texture(&mut observer)?;
         let Sight { mesh, measured, .. } = sight;
         let atlas = &measured.atlas;
         let scene = Scene {
-            mesh,
-            occluder: &measured.occluder,
-            brdf: Some(brdf),
             gloss: gloss.map(|texture| GlossMap { atlas, texture }),
-            surroundings: None,
+            ..plain(mesh, measured, brdf)
         };
-        let light = |lighting: &Lighting| {
+        let light = |(view, lighting): (usize, &Lighting)| {
             let shader = Shader::new(scene.occluder, Some(brdf), lighting);
-            ViewLight::new(mesh, atlas, shader.stopped_by(watcher.stop()))
+            ViewLight {
+                surroundings: sent.get(view),
+                ..ViewLight::new(mesh, atlas, shader.stopped_by(watcher.stop()))
+            }
         };
-        let lights: Vec<ViewLight<'_>> = lightings.iter().map(light).collect();
+        let lights: Vec<ViewLight<'_>> = lightings.iter().enumerate().map(light).collect();
         let of_views = LightOfViews::Each(&lights);
         let (views, surfaces) = (sight.views, sight.surfaces);
         let texture = reconstruct(&scene, views, surfaces, atlas, &of_views, sight.shortcuts);
         report_texture(&mut observer)?;
-        Ok(filled_albedo(&scene, atlas, &texture))
+        Ok(texture)
     })
 }
