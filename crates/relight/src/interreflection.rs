@@ -160,11 +160,7 @@ impl Interreflection {
         let passed = self.passed(mesh, atlas, albedo);
         let indirect = bounce(&direct, &self.rows(&passed));
         let total: Vec<Vec3> = direct.iter().zip(&indirect).map(|(&d, &i)| d + i).collect();
-        let places = self.lattice.points(mesh);
-        Relit {
-            indirect: self.spread(&places, &indirect),
-            total: self.spread(&places, &total),
-        }
+        self.relit(mesh, &indirect, &total)
     }
 
     /// Irradiance under the light of `shader` where the surface's diffuse radiance is known as so many times its direct irradiance: what
@@ -185,10 +181,15 @@ impl Interreflection {
             sent.sum()
         };
         let indirect: Vec<Vec3> = self.rows(&passed).par_iter().map(gather).collect();
+        self.relit(mesh, &indirect, &direct)
+    }
+
+    /// Irradiance at the gather points as fields.
+    fn relit(&self, mesh: &Mesh, indirect: &[Vec3], total: &[Vec3]) -> Relit<'_> {
         let places = self.lattice.points(mesh);
         Relit {
-            indirect: self.spread(&places, &indirect),
-            total: self.spread(&places, &direct),
+            indirect: self.spread(&places, indirect),
+            total: self.spread(&places, total),
         }
     }
 

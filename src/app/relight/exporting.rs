@@ -1,5 +1,6 @@
 //! The question what to export, and the progress of an export.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -424,12 +425,10 @@ impl Question {
                 }
             })
             .map(|(stem, camera)| Shot {
-                lighting: Arc::new(
-                    document
-                        .solution()
-                        .lighting_before(&lighting, &camera)
-                        .into_owned(),
-                ),
+                lighting: match document.solution().lighting_before(&lighting, &camera) {
+                    Cow::Borrowed(_) => Arc::clone(&lighting),
+                    Cow::Owned(before) => Arc::new(before),
+                },
                 stem,
                 camera,
             })

@@ -120,6 +120,16 @@ fn pairs(points: &[Point]) -> Vec<[usize; 2]> {
     pairs.collect()
 }
 
+/// Adds the squared differences of joined unknowns to normal equations, each with a weight.
+pub fn hold_together(gram: &mut Mat<f64>, joined: &[[usize; 2]], weight: f64) {
+    for &[i, j] in joined {
+        gram[(i, i)] += weight;
+        gram[(j, j)] += weight;
+        gram[(i, j)] -= weight;
+        gram[(j, i)] -= weight;
+    }
+}
+
 /// Which of some lights give the part `most` of the mean irradiance, which is 1 and by unit strength of each is `mean`.
 pub fn brightest(x: &[f64], mean: &[f64], most: f64) -> Vec<bool> {
     let share = |k: usize| x[k] * mean[k];
@@ -272,13 +282,7 @@ impl<'a> Shading<'a> {
         let mut gram = rows.transpose() * &rows;
         let right = rows.transpose() * &said;
         let diagonal = (0..n).map(|k| gram[(k, k)]).sum::<f64>() / n as f64;
-        for &[i, j] in &self.joined {
-            let weight = smoothness * diagonal;
-            gram[(i, i)] += weight;
-            gram[(j, j)] += weight;
-            gram[(i, j)] -= weight;
-            gram[(j, i)] -= weight;
-        }
+        hold_together(&mut gram, &self.joined, smoothness * diagonal);
         // Only ratios count: the mean irradiance is held.
         let held = diagonal * n as f64;
         for i in 0..n {

@@ -402,13 +402,18 @@ fn only_what_was_made_is_replaced() {
 }
 
 fn solved(folder: &TempDir) -> Solution {
+    solved_on(&load(folder), FREQUENCY)
+}
+
+/// On a hemisphere of some frequency.
+fn solved_on(capture: &Capture, frequency: u32) -> Solution {
     let options = SolveOptions {
         estimate: EstimateParams::default(),
-        frequency: FREQUENCY,
+        frequency,
         radius: None,
         light_frame: None,
     };
-    solve(&load(folder), &options, 0.0, &mut Unobserved).unwrap()
+    solve(capture, &options, 0.0, &mut Unobserved).unwrap()
 }
 
 #[test]
@@ -633,13 +638,7 @@ fn light_that_stands_still_with_the_camera_is_found_and_told_from_light_that_doe
     // Nothing says that the object was turned.
     let mut unstated = stated.clone();
     unstated.light_hemisphere.frame = None;
-    let options = SolveOptions {
-        estimate: EstimateParams::default(),
-        frequency: 70,
-        radius: None,
-        light_frame: None,
-    };
-    let found = solve(&unstated, &options, 0.0, &mut Unobserved).unwrap();
+    let found = solved_on(&unstated, 70);
     assert_eq!(found.light_frame, LightFrame::Camera);
     let warnings = &found.diagnostics.warnings;
     assert!(

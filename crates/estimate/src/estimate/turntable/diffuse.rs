@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::super::cells::{Cell, Pyramid};
 use super::super::fast::Solver;
 use super::super::observations::{Observations, Placed, Point, Row};
-use super::super::shading::mean;
+use super::super::shading::{hold_together, mean};
 use super::super::weights::{magnitude, median};
 use super::{Ground, Light, Source};
 use rekindle_base::math::nnls::{self, NnlsParams};
@@ -238,13 +238,7 @@ impl<'a> Shading<'a> {
         let system = self.projected(&self.by_light, measured, robust, (lit, is_first));
         let (mut gram, falls) = system;
         let diagonal = (0..n).map(|k| gram[(k, k)]).sum::<f64>() / n as f64;
-        for &[i, j] in &self.joined {
-            let weight = SMOOTHNESS * diagonal;
-            gram[(i, i)] += weight;
-            gram[(j, j)] += weight;
-            gram[(i, j)] -= weight;
-            gram[(j, i)] -= weight;
-        }
+        hold_together(&mut gram, &self.joined, SMOOTHNESS * diagonal);
         // Only ratios count: the mean irradiance is held.
         let squares = self.mean.iter().map(|m| m * m).sum::<f64>();
         let held = diagonal * n as f64 / squares.max(f64::MIN_POSITIVE);
