@@ -1,5 +1,7 @@
 //! Comparing two explanations of the same data without a model of the noise.
 
+use glam::Vec3;
+
 /// Standard deviations of chance beyond which one explanation is better: one case in 740 is that by chance.
 pub const SURE: f64 = 3.0;
 
@@ -33,6 +35,45 @@ pub fn weighted_signed_ranks(weights: &[f64], first: &[f64], second: &[f64]) -> 
     ranked(differences)
 }
 
+/// The same of values at places, those of `second` at others: between parts of space that hold as many values of `first` each.
+pub fn placed_signed_ranks(first: &[(Vec3, f64)], second: &[(Vec3, f64)]) -> f64 {
+    let mut differences = Vec::with_capacity(GROUPS);
+    compare(first.to_vec(), second.to_vec(), GROUPS, &mut differences);
+    ranked(differences)
+}
+
+/// Cuts space in two where half of the values of `first` lie on each side, across their longest extent, until there are so many parts, and
+/// adds by how much the mean of `first` is more than that of `second` in each that has values of both.
+fn compare(
+    mut first: Vec<(Vec3, f64)>,
+    mut second: Vec<(Vec3, f64)>,
+    parts: usize,
+    differences: &mut Vec<f64>,
+) {
+    if first.is_empty() || second.is_empty() {
+        return;
+    }
+    if parts == 1 {
+        let mean = |of: &[(Vec3, f64)]| of.iter().map(|(_, v)| v).sum::<f64>() / of.len() as f64;
+        differences.push(mean(&first) - mean(&second));
+        return;
+    }
+    let low = first.iter().fold(Vec3::MAX, |m, (p, _)| m.min(*p));
+    let high = first.iter().fold(Vec3::MIN, |m, (p, _)| m.max(*p));
+    let axis = (high - low).max_position();
+    let cut = |values: &mut Vec<(Vec3, f64)>, at: Option<f32>| {
+        values.sort_by(|a, b| a.0[axis].total_cmp(&b.0[axis]));
+        let here = at.map_or(values.len() / 2, |at| {
+            values.partition_point(|(p, _)| p[axis] < at)
+        });
+        values.split_off(here)
+    };
+    let beyond = cut(&mut first, None);
+    let second_beyond = cut(&mut second, beyond.first().map(|(p, _)| p[axis]));
+    compare(first, second, parts / 2, differences);
+    compare(beyond, second_beyond, parts / 2, differences);
+}
+
 /// By how many standard deviations of chance some differences are positive.
 fn ranked(mut differences: Vec<f64>) -> f64 {
     differences.retain(|d| *d != 0.0);
@@ -64,6 +105,23 @@ mod tests {
         single[5] = -1e6;
         assert!(signed_ranks(&first, &single) < 2.0);
         assert_eq!(signed_ranks(&first, &first), 0.0);
+    }
+
+    #[test]
+    fn values_at_other_places_are_compared_where_they_are() {
+        let at = |i: usize| {
+            let turn = i as f32 * 2.4;
+            Vec3::new(turn.cos(), turn.sin(), (i as f32 * 0.37).sin())
+        };
+        // What varies from place to place drowns the difference for values that are compared in the order they come in.
+        let field = |p: Vec3| 2.0 + f64::from(p.x + 0.5 * p.z);
+        let first: Vec<(Vec3, f64)> = (0..900).map(|i| (at(i), field(at(i)))).collect();
+        let other: Vec<(Vec3, f64)> = (2000..2700).map(|i| (at(i), 0.95 * field(at(i)))).collect();
+        assert!(placed_signed_ranks(&first, &other) > 4.0);
+        assert!(placed_signed_ranks(&other, &first) < -4.0);
+        let same: Vec<(Vec3, f64)> = (2000..2700).map(|i| (at(i), field(at(i)))).collect();
+        assert!(placed_signed_ranks(&first, &same).abs() < 2.5);
+        assert_eq!(placed_signed_ranks(&first, &[]), 0.0);
     }
 
     #[test]

@@ -5,13 +5,14 @@ use super::SpecularChoice;
 use super::below::{AllAround, is_lit_from_below};
 use super::fast::{CoarseFit, Fit, Solver, Watch};
 use super::gloss;
-use super::held_out::{predicts_better, shows_gloss};
+use super::held_out::{CHANCE, predicts_better, shows_gloss};
 use super::observer::{Interim, Stopped, go_on};
 use super::relief::{self, Bench, RefinedSurface};
 use super::state::{ROUGH, State};
 use super::suspects::{Suspicion, left};
 use super::{diagnose, exposures};
-use rekindle_base::math::ranks::{SURE, signed_ranks};
+use glam::Vec3;
+use rekindle_base::math::ranks::{SURE, placed_signed_ranks, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::Shortcut;
@@ -219,24 +220,50 @@ fn on_refined(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Ending>, Stopped> {
-    let Some(mesh) = relief::refine(solver, coarse, choice, watch)? else {
+    let Some(mut relief) = relief::refine(solver, coarse, choice, watch)? else {
         return Ok(None);
     };
+    let mesh = relief.mesh();
     let bench = Bench::new(&mesh, solver.seen.views);
     let refined = bench.solver(solver, &mesh);
-    let median_tilt = relief::median_tilt(&solver.seen, &refined.seen);
-    let before = left(&coarse.state);
-    let ending = with_coarse_fit(&refined, choice, watch, |solver, start, watch| {
-        let again = &start.coarse;
-        if signed_ranks(&before, &left(&again.state)) <= SURE || !is_glossy(solver, again) {
+    let before = placed(&coarse.state);
+    let original = &solver.seen;
+    with_coarse_fit(&refined, choice, watch, |solver, start, watch| {
+        let coarse = &start.coarse;
+        let is_better = placed_signed_ranks(&before, &placed(&coarse.state)) > CHANCE;
+        if !is_better || !is_glossy(solver, coarse) {
             return Ok(None);
         }
-        end(solver, again, start.because, choice, watch).map(Some)
-    })?;
-    Ok(ending.map(|ending| Ending {
-        refined: Some(RefinedSurface { mesh, median_tilt }),
-        ..ending
-    }))
+        let on = |solver: &Solver<'_>, ending: Ending| Ending {
+            refined: Some(RefinedSurface {
+                mesh: solver.seen.mesh.clone(),
+                median_tilt: relief::median_tilt(original, &solver.seen),
+            }),
+            ..ending
+        };
+        let fit = finish(solver, &coarse.state, watch)?;
+        if relief.bend(solver, &fit, watch)? {
+            let mesh = relief.mesh();
+            let bench = Bench::new(&mesh, solver.seen.views);
+            let bent = bench.solver(solver, &mesh);
+            let (again, because) = choose(&bent, choice, &SpecularModel::ALL, watch)?;
+            if again.unexplained < coarse.unexplained {
+                let ending = end(&bent, &again, because, choice, watch)?;
+                return Ok(Some(on(&bent, ending)));
+            }
+        }
+        let ending = end(solver, coarse, start.because, choice, watch)?;
+        Ok(Some(on(solver, ending)))
+    })
+}
+
+/// What a coarse fit leaves at each of its points, see [`left`], and where these are.
+fn placed(state: &State<'_>) -> Vec<(Vec3, f64)> {
+    let points = state.design.observations.points.iter();
+    points
+        .map(|point| point.position)
+        .zip(left(state))
+        .collect()
 }
 
 /// Goes on from a coarse fit, chosen `because`, to the end: with the middle of the roughnesses that the views allow where these

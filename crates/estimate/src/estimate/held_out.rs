@@ -5,6 +5,7 @@
 
 use std::ops::Range;
 
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::cells::Cell;
@@ -20,6 +21,8 @@ use rekindle_scene::reflectance::{Brdf, SpecularModel};
 const MOST_TURNS: usize = 6;
 /// What chance exceeds in one case of twenty, in standard deviations.
 pub const CHANCE: f64 = 1.645;
+/// The same where it need not be known as well.
+const ROUGH_TURNS: usize = 3;
 /// Points that are looked at: many, as most show no highlight.
 const POINTS: usize = 8000;
 /// Prices of light that are tried, in standard deviations of the residuals; see [`Precision::price`]. Without any, cells by the
@@ -83,12 +86,17 @@ fn left_out_in(
     let points = solver.colours(POINTS).to_gray();
     // What the object mirrors of itself is no light: it is where none comes past it.
     let design = solver.shadowed_design(&points, &fit.cells, &fit.brdf);
-    let units = units(&design);
+    of_turns(&design, fit, &units(&design), turns)
+}
+
+/// What the lobe of a state on its cells leaves at each point of a design, summed over turns in each of which some of the views have no
+/// say, at the price of light that leaves least.
+fn of_turns(design: &Design<'_>, fit: &State<'_>, units: &[f32], turns: usize) -> Vec<Left> {
     let of_turns: Vec<Vec<Vec<Left>>> = (0..turns)
         .into_par_iter()
         .map(|turn| {
             let is_out = |view| view % turns == turn;
-            left_in(&design, &fit.cells, fit.brdf, &units, &PRICES, is_out)
+            left_in(design, &fit.cells, fit.brdf, units, &PRICES, is_out)
         })
         .collect();
     let of_price = |price: usize| -> Vec<Left> {
@@ -99,7 +107,7 @@ fn left_out_in(
                 shown: sum.shown + turn[price][i].shown,
             })
         };
-        (0..points.points.len()).map(sum).collect()
+        (0..design.observations.points.len()).map(sum).collect()
     };
     let total = |left: &Vec<Left>| left.iter().map(|left| left.lit).sum::<f64>();
     let of_prices = (0..PRICES.len()).map(of_price);
@@ -137,6 +145,33 @@ pub fn left_in(
         left_by(&judged, &dark, units, &is_out)
     };
     prices.iter().map(of_price).collect()
+}
+
+/// What is left at each point of a design in the views that `is_out` leaves out, under lights that are held: the others say nothing
+/// but the points' diffuse colours.
+pub fn left_under(
+    design: &Design<'_>,
+    cells: &[Cell],
+    (brdf, radiance): (Brdf, &[[f32; 3]]),
+    units: &[f32],
+    is_out: impl Fn(usize) -> bool,
+) -> Vec<Left> {
+    let mut judged = State::new(design.clone(), cells.to_vec(), brdf);
+    judged.silence(|k| !is_out(design.observations.rows[k].view));
+    judged.light_by(radiance);
+    left_by(&judged, &judged.dark_residuals(), units, is_out)
+}
+
+/// What the lobe of a coarse fit leaves in views that had no say at each of its points, by their places: without shadows, and as a part of
+/// what diffuse colours alone leave at all of them.
+pub fn roughly_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<(Vec3, f64)> {
+    let design = solver.design(&solver.coarse, &fit.cells);
+    let units = in_noise(&design, common_noise(&design));
+    let left = of_turns(&design, fit, &units, ROUGH_TURNS);
+    let dark = left.iter().map(|left| left.dark).sum::<f64>();
+    let share = |left: Left| left.lit / dark.max(f64::MIN_POSITIVE);
+    let points = solver.coarse.points.iter().map(|point| point.position);
+    points.zip(left.into_iter().map(share)).collect()
 }
 
 /// Noise of the rows of a design without lights and gloss, which all explanations have in common: their own would favour those that

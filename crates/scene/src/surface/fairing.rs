@@ -63,7 +63,8 @@ impl Fairing {
     }
 
     /// The fair surface of a mesh that is as fine as the surface but noisy: B is one place, and its weight A/ℓ⁴, so that what is
-    /// clearly shorter than 2πℓ is smoothed away; `length` is that ℓ, mesh units.
+    /// clearly shorter than 2πℓ is smoothed away; `length` is that ℓ, mesh units. Where the surface is bent more than it is at most
+    /// places even so, as at creases, bending counts less: as under a Cauchy distribution of curvatures.
     pub fn smoothing(noisy: &Mesh, length: f64) -> Option<Self> {
         let flat = Flat::new(Mesh {
             uvs: Vec::new(),
@@ -74,7 +75,9 @@ impl Fairing {
         let held: Vec<(SparseRow, f64)> = held
             .map(|(place, area)| (vec![(place, 1.0)], area / length.powi(4)))
             .collect();
-        flat.faired(&bends, &held)
+        let even = flat.least_bent(&bends, &held)?.1;
+        let creased = creased(bends, &even);
+        flat.faired(&creased, &held)
     }
 
     /// Adds the precision P of the true surface's heights over the fair one, if surfaces are as bent as that, to
@@ -139,22 +142,7 @@ impl Flat {
 
     /// The least bent surface that is held where it is by some weighted means of places.
     fn faired(self, bends: &[(SparseRow, f64)], held: &[(SparseRow, f64)]) -> Option<Fairing> {
-        let count = self.places.len();
-        let mut energy = LowerEntries::default();
-        for (row, weight) in bends.iter().chain(held) {
-            energy.add_square(row, *weight);
-        }
-        let mut pull = vec![DVec3::ZERO; count];
-        for (row, weight) in held {
-            let mean = applied(row, &self.places);
-            for &(place, share) in row {
-                pull[place] += *weight * share * mean;
-            }
-        }
-        let x = energy.solve(&Mat::from_fn(count, 3, |i, k| pull[i][k]))?;
-        let positions: Vec<DVec3> = (0..count)
-            .map(|i| DVec3::new(x[(i, 0)], x[(i, 1)], x[(i, 2)]))
-            .collect();
+        let (energy, positions) = self.least_bent(bends, held)?;
         let off = positions.iter().zip(&self.places);
         let off: Vec<DVec3> = off.map(|(x, f)| *x - *f).collect();
         let bent = bends
@@ -173,6 +161,49 @@ impl Flat {
             place_of: self.place_of,
         })
     }
+
+    /// The K of that surface, and its places.
+    fn least_bent(
+        &self,
+        bends: &[(SparseRow, f64)],
+        held: &[(SparseRow, f64)],
+    ) -> Option<(LowerEntries, Vec<DVec3>)> {
+        let count = self.places.len();
+        let mut energy = LowerEntries::default();
+        for (row, weight) in bends.iter().chain(held) {
+            energy.add_square(row, *weight);
+        }
+        let mut pull = vec![DVec3::ZERO; count];
+        for (row, weight) in held {
+            let mean = applied(row, &self.places);
+            for &(place, share) in row {
+                pull[place] += *weight * share * mean;
+            }
+        }
+        let x = energy.solve(&Mat::from_fn(count, 3, |i, k| pull[i][k]))?;
+        let places = (0..count).map(|i| DVec3::new(x[(i, 0)], x[(i, 1)], x[(i, 2)]));
+        let places = places.collect();
+        Some((energy, places))
+    }
+}
+
+/// The rows L with less weight where the surface of these places is bent more than it is at most of them.
+fn creased(mut bends: Vec<(SparseRow, f64)>, places: &[DVec3]) -> Vec<(SparseRow, f64)> {
+    let curvature = |(row, weight): &(SparseRow, f64)| weight * applied(row, places).length();
+    let curvatures: Vec<f64> = bends.iter().map(curvature).collect();
+    let mut sorted = curvatures.clone();
+    let at = sorted.len() / 2;
+    if at >= sorted.len() {
+        return bends;
+    }
+    let median = sorted
+        .select_nth_unstable_by(at, f64::total_cmp)
+        .1
+        .max(f64::MIN_POSITIVE);
+    for ((_, weight), curvature) in bends.iter_mut().zip(curvatures) {
+        *weight /= 1.0 + (curvature / median).powi(2);
+    }
+    bends
 }
 
 /// A row's product with positions.

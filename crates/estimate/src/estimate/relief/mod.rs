@@ -17,41 +17,36 @@
 //! Under broad light, as in a room, few lamps are no explanation, and normals bent to serve as one are worse than the fair
 //! ones. So the first rounds leave some views out, which the heights then have to explain better than the fair surface does;
 //! where they do not, the fair surface it is.
+//!
+//! What lamps can't explain, lights found on cells of that surface often can. So once there are some, the heights move under these,
+//! which are held: no light then does what normals should, nor normals what lights should ([`Relief::bend`]).
 
-use std::borrow::Cow;
+mod equations;
+mod held;
+mod lamps;
+mod smoothing;
+
 use std::collections::BTreeMap;
 
-use faer::linalg::solvers::Solve;
-use faer::{Col, Mat};
+use faer::Col;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::SpecularChoice;
-use super::cells::{Cell, CellGeometry};
-use super::course::choose;
 use super::design::Design;
 use super::fast::{CoarseFit, Solver, Watch};
 use super::held_out::{CHANCE, common_noise, in_noise, left_in};
 use super::observations::{Observations, Point, Seen};
 use super::observer::{Stopped, go_on};
-use super::state::ROUGH;
-use super::visibility::{SeenCells, cell_visibility};
-use super::weights::{eliminate_all, mean_weights, median, residuals};
+use super::weights::median;
 use rekindle_base::math::ranks::signed_ranks;
-use rekindle_base::math::sparse::LowerEntries;
 use rekindle_capture::{Mesh, View};
-use rekindle_scene::hemisphere::{Lamp, find_lamps};
-use rekindle_scene::reflectance::{Brdf, SpecularModel};
-use rekindle_scene::surface::{
-    Fairing, NO_TRIANGLE, Occluder, ViewSurface, area_vectors, simplified,
-};
+use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::surface::{Fairing, Occluder, ViewSurface, area_vectors};
 
-/// The lobe with which lamps are looked for over the one that fits best on unrefined normals.
-const WIDER: f32 = 2.0;
-
-/// Most lamps, and the least share of the flux of one.
-const MOST_LAMPS: usize = 12;
-const LEAST_SHARE: f32 = 0.03;
+use equations::{Equations, LinearRows};
+use lamps::{Lamps, WIDER, design, wide_lamps};
+use smoothing::{pixels_per_triangle, smoothed};
 
 /// Rounds, and those in which σ stays as it is, so that the lamps find their places first.
 const ROUNDS: usize = 8;
@@ -67,22 +62,6 @@ const SETTLED: f32 = 5e-3;
 /// Pixels that a triangle must cover for the views to show more than it says: it is divided into sixteen.
 const LEAST_PIXELS: f64 = 16.0;
 
-/// Most triangles of a surface with places of its own to move.
-const MOST_TRIANGLES: usize = 90_000;
-/// How noisy surfaces are smoothed: how many times fewer triangles they get, and below which length, in their edges. What is
-/// smoothed much needs few triangles.
-const SMOOTHINGS: [(usize, f64); 6] = [
-    (1, 0.25),
-    (1, 0.5),
-    (1, 1.0),
-    (4, 1.0),
-    (16, 1.0),
-    (64, 1.0),
-];
-
-/// A surface that leaves so many times as much as a less smooth one is smoothed too much, as all smoother ones are.
-const TOO_MUCH: f64 = 1.25;
-
 /// Most points that take part.
 const POINTS: usize = 24_000;
 /// They are always cut into this many runs, so that sums come out the same on any number of threads.
@@ -93,14 +72,6 @@ const TILTS_PER_VIEW: usize = 20_000;
 
 /// Angle by which normals and lamps are turned for their derivatives, radians.
 const TURN: f32 = 1e-3;
-
-/// Longest step of σ and of a flux, relative, and of a lamp's direction, radians.
-const LONGEST_SIGMA_STEP: f64 = 0.3;
-const LONGEST_FLUX_STEP: f32 = 0.5;
-const LONGEST_TURN: f32 = 0.05;
-
-/// Unknowns of one lamp: two of its direction, three of its flux.
-const PER_LAMP: usize = 5;
 
 /// A finer mesh in place of a coarse one.
 #[derive(Clone, Debug)]
@@ -122,7 +93,7 @@ impl Bench {
     pub fn new(mesh: &Mesh, views: &[View]) -> Self {
         let occluder = Occluder::new(mesh);
         let surfaces = views
-            .iter()
+            .par_iter()
             .map(|v| ViewSurface::new(mesh, &occluder, &v.camera))
             .collect();
         Self { occluder, surfaces }
@@ -144,18 +115,8 @@ impl Bench {
     }
 }
 
-/// Point lights with the lobe that shows them.
-#[derive(Clone, Debug)]
-struct Lamps {
-    /// Unit directions from the object's centre.
-    directions: Vec<Vec3>,
-    /// Radiance × solid angle, RGB, in units of the observations' scale.
-    flux: Vec<[f32; 3]>,
-    brdf: Brdf,
-}
-
 /// A surface on its way.
-struct Relief {
+pub struct Relief {
     fairing: Fairing,
     /// Unit normals of the fair surface, along which places move.
     along: Vec<DVec3>,
@@ -170,7 +131,7 @@ pub fn refine(
     coarse: &CoarseFit<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
-) -> Result<Option<Mesh>, Stopped> {
+) -> Result<Option<Relief>, Stopped> {
     const WHAT: &str = "refining the surface";
     go_on(watch.observer.progress(WHAT, 0.3))?;
     let start = if pixels_per_triangle(&solver.seen) >= LEAST_PIXELS {
@@ -188,7 +149,6 @@ pub fn refine(
     if lamps.directions.is_empty() {
         return Ok(None);
     }
-    let is_out = |view: usize| view.is_multiple_of(TURNS);
     // Of fewer views none can be spared.
     let on_trial = if solver.seen.views.len() < TURNS {
         0
@@ -210,15 +170,22 @@ pub fn refine(
         }
         if round + 1 == on_trial {
             let sigmas = [sigma, WIDER * sigma, lamps.brdf.sigma];
-            if !relief.predicts(&solver, &lamps, &sigmas, is_out) {
-                return Ok(Some(smooth));
+            let p = relief.predicts(&solver, &lamps, &sigmas, is_out);
+            if !p {
+                relief.heights.fill(0.0);
+                return Ok(Some(relief));
             }
         }
         if free_sigma && round >= on_trial && (lamps.brdf.sigma / before - 1.0).abs() < SETTLED {
             break;
         }
     }
-    Ok(Some(relief.mesh()))
+    Ok(Some(relief))
+}
+
+/// One view in so many is left out on trial.
+fn is_out(view: usize) -> bool {
+    view.is_multiple_of(TURNS)
 }
 
 /// Median angle between the normals of two surfaces at the pixels that show both, radians.
@@ -240,163 +207,6 @@ pub fn median_tilt(before: &Seen<'_>, after: &Seen<'_>) -> f32 {
         }
     }
     median(&mut tilts)
-}
-
-/// The surface through a mesh that is as fine as the pictures, smoothed as much as these say: until a coarse fit leaves more
-/// than with less smoothing. What is smoothed much needs few triangles.
-fn smoothed(
-    solver: &Solver<'_>,
-    coarse: &CoarseFit<'_>,
-    watch: &mut Watch<'_>,
-) -> Result<Option<Relief>, Stopped> {
-    let pixels = |surface: &ViewSurface| {
-        let object = surface.triangle.iter().filter(|&&t| t != NO_TRIANGLE);
-        object.count()
-    };
-    let largest = solver.seen.surfaces.iter().map(pixels).max().unwrap_or(0);
-    let model = coarse.state.brdf.model;
-    let (mut least, mut best) = (f64::INFINITY, None);
-    let mut simpler = (0, Cow::Borrowed(solver.seen.mesh));
-    for (coarser, length) in SMOOTHINGS {
-        go_on(watch.observer.progress("smoothing the surface", 0.3))?;
-        if coarser != simpler.0 {
-            let triangles = largest.min(MOST_TRIANGLES) / coarser;
-            simpler = (coarser, Cow::Owned(simplified(solver.seen.mesh, triangles)));
-        }
-        let mesh = &*simpler.1;
-        let Some(fairing) = Fairing::smoothing(mesh, length * spacing(mesh)) else {
-            continue;
-        };
-        let relief = Relief::new(fairing);
-        let smooth = relief.mesh();
-        let bench = Bench::new(&smooth, solver.seen.views);
-        let again = bench.solver(solver, &smooth);
-        let fit = again.compare_sigmas(model, None, watch)?;
-        if fit.unexplained > TOO_MUCH * least {
-            break;
-        }
-        if fit.unexplained < least {
-            (least, best) = (fit.unexplained, Some(relief));
-        }
-    }
-    Ok(best)
-}
-
-/// Mean length of the edges of a mesh with one vertex a place.
-fn spacing(mesh: &Mesh) -> f64 {
-    let edges = mesh.triangles.iter().flat_map(|&[a, b, c]| {
-        [(a, b), (b, c), (c, a)].map(|(p, q)| {
-            let [p, q] = [p, q].map(|v| mesh.positions[v as usize]);
-            f64::from(p.distance(q))
-        })
-    });
-    edges.sum::<f64>() / (3 * mesh.triangles.len()).max(1) as f64
-}
-
-/// Pixels that a triangle covers in a view that shows it, in the mean.
-fn pixels_per_triangle(seen: &Seen<'_>) -> f64 {
-    let (mut pixels, mut shown) = (0_usize, 0_usize);
-    for surface in seen.surfaces {
-        let object = surface.triangle.iter().filter(|&&t| t != NO_TRIANGLE);
-        let mut triangles: Vec<u32> = object.copied().collect();
-        pixels += triangles.len();
-        triangles.sort_unstable();
-        triangles.dedup();
-        shown += triangles.len();
-    }
-    pixels as f64 / shown.max(1) as f64
-}
-
-/// Long tails would explain normals that are off.
-const SHORT_TAILED: [SpecularModel; 2] = [SpecularModel::Paper, SpecularModel::Beckmann];
-
-/// Lamps in a lobe that is too wide: few, and where the highlights are in the mean over the surface. Beside them the σ of the lobe
-/// that fits best.
-fn wide_lamps(
-    solver: &Solver<'_>,
-    choice: SpecularChoice,
-    watch: &mut Watch<'_>,
-) -> Result<(Lamps, f32), Stopped> {
-    let (coarse, _) = choose(solver, choice, &SHORT_TAILED, watch)?;
-    let points = solver.middle_observations(&coarse.state);
-    let mut state = solver.refine(&coarse.state, &points);
-    state.brdf.sigma *= WIDER;
-    state.solve_lights(ROUGH);
-    let nodes = solver.pyramid.to_nodes(&state.cells, &state.radiance);
-    let mut found = find_lamps(solver.grid, &nodes);
-    let total: f32 = found.iter().map(Lamp::mean_flux).sum();
-    found.retain(|l| l.mean_flux() > LEAST_SHARE * total);
-    found.truncate(MOST_LAMPS);
-    let lamps = Lamps {
-        directions: found.iter().map(|l| l.direction).collect(),
-        flux: found.iter().map(|l| l.flux).collect(),
-        brdf: state.brdf,
-    };
-    Ok((lamps, coarse.state.brdf.sigma))
-}
-
-impl Lamps {
-    fn geometry(&self) -> CellGeometry {
-        CellGeometry {
-            directions: self.directions.clone(),
-            solid_angles: vec![1.0; self.directions.len()],
-            spread: vec![0.0; self.directions.len()],
-        }
-    }
-
-    /// The coarsest cells that they lie in.
-    fn around(&self, solver: &Solver<'_>) -> Vec<Cell> {
-        let directions = self.directions.iter();
-        directions.map(|&d| solver.pyramid.root_at(d)).collect()
-    }
-
-    fn turned(&self, lamp: usize, by: Vec3) -> Self {
-        let mut turned = self.clone();
-        turned.directions[lamp] = (self.directions[lamp] + by).normalize_or_zero();
-        turned
-    }
-
-    /// Derivatives of every row's specular radiance: by σ, then lamp by lamp by the direction along two tangents and by
-    /// the three channels' flux.
-    fn derivatives(&self, design: &Design<'_>) -> Vec<Vec<[f32; 3]>> {
-        let mut columns = vec![design.predict(&self.brdf, &self.flux).by_sigma];
-        for (lamp, direction) in self.directions.iter().enumerate() {
-            let (t1, t2) = direction.any_orthonormal_pair();
-            for tangent in [t1, t2] {
-                columns.push(central_difference(|by| {
-                    let geometry = self.turned(lamp, by * tangent).geometry();
-                    let turned = Design {
-                        geometry,
-                        ..design.clone()
-                    };
-                    turned.predict(&self.brdf, &self.flux).value
-                }));
-            }
-            for channel in 0..3 {
-                let mut unit = vec![[0.0; 3]; self.flux.len()];
-                unit[lamp][channel] = 1.0;
-                columns.push(design.predict(&self.brdf, &unit).value);
-            }
-        }
-        columns
-    }
-
-    /// Takes a step of the unknowns in the order of [`Lamps::derivatives`], no part of it too long.
-    fn take(&mut self, step: &Col<f64>) {
-        let sigma = f64::from(self.brdf.sigma);
-        let limit = LONGEST_SIGMA_STEP * sigma;
-        self.brdf.sigma = (sigma + step[0].clamp(-limit, limit)) as f32;
-        for lamp in 0..self.directions.len() {
-            let at = |k: usize| step[1 + PER_LAMP * lamp + k] as f32;
-            let (t1, t2) = self.directions[lamp].any_orthonormal_pair();
-            let turn = (at(0) * t1 + at(1) * t2).clamp_length_max(LONGEST_TURN);
-            self.directions[lamp] = (self.directions[lamp] + turn).normalize_or_zero();
-            for (channel, flux) in self.flux[lamp].iter_mut().enumerate() {
-                let limit = LONGEST_FLUX_STEP * *flux;
-                *flux += at(2 + channel).clamp(-limit, limit);
-            }
-        }
-    }
 }
 
 /// The derivative of rows by an angle, at zero.
@@ -431,170 +241,6 @@ fn turn(observations: &mut Observations, normal: impl Fn(&Point) -> Vec3) {
     }
 }
 
-/// Normal equations of heights and lamps.
-struct Equations {
-    /// Of the heights.
-    heights: LowerEntries,
-    gradient: Vec<f64>,
-    /// Of each lamps' unknown with the heights, one column each.
-    coupling: Vec<Vec<f64>>,
-    /// Of the lamps' unknowns.
-    lamps: Mat<f64>,
-    lamps_gradient: Col<f64>,
-}
-
-impl Equations {
-    fn new(heights: usize, unknowns: usize) -> Self {
-        Self {
-            heights: LowerEntries::default(),
-            gradient: vec![0.0; heights],
-            coupling: vec![vec![0.0; heights]; unknowns],
-            lamps: Mat::zeros(unknowns, unknowns),
-            lamps_gradient: Col::zeros(unknowns),
-        }
-    }
-
-    /// Adds a point: `tilts` holds the derivative of its normal's tilt, along two tangents, by each height that turns it.
-    fn add(&mut self, point: &PointEquations, tilts: &[(usize, DVec2)]) {
-        for &(i, a) in tilts {
-            self.gradient[i] += point.gradient.dot(a);
-            for (column, coupling) in self.coupling.iter_mut().zip(&point.coupling) {
-                column[i] += coupling.dot(a);
-            }
-            let product = DVec2::new(
-                point.tilt[0] * a.x + point.tilt[1] * a.y,
-                point.tilt[1] * a.x + point.tilt[2] * a.y,
-            );
-            for &(j, b) in tilts {
-                self.heights.add(i, j, product.dot(b));
-            }
-        }
-    }
-
-    /// Adds the equations of other points.
-    fn merge(&mut self, other: &Self) {
-        self.heights.extend(&other.heights);
-        let coupling = self.coupling.iter_mut().zip(&other.coupling);
-        for (sums, values) in coupling.chain([(&mut self.gradient, &other.gradient)]) {
-            for (sum, value) in sums.iter_mut().zip(values) {
-                *sum += value;
-            }
-        }
-        self.lamps += &other.lamps;
-        self.lamps_gradient += &other.lamps_gradient;
-    }
-
-    /// Steps of heights and lamps: the heights are eliminated first, as there are many of them but few that meet.
-    fn solve(mut self) -> Option<(Vec<f64>, Col<f64>)> {
-        let (count, unknowns) = (self.gradient.len(), self.coupling.len());
-        let rhs = Mat::from_fn(count, 1 + unknowns, |i, k| match k {
-            0 => self.gradient[i],
-            _ => self.coupling[k - 1][i],
-        });
-        let x = self.heights.solve(&rhs)?;
-        let product = |a: usize, k: usize| -> f64 {
-            let column = self.coupling[a].iter().enumerate();
-            column.map(|(i, c)| c * x[(i, k)]).sum()
-        };
-        for a in 0..unknowns {
-            self.lamps_gradient[a] -= product(a, 0);
-            for b in 0..unknowns {
-                self.lamps[(a, b)] -= product(a, b + 1);
-            }
-            // An unknown that is held, or that no row tells of, stays.
-            self.lamps[(a, a)] += 1e-6 * self.lamps[(a, a)].abs() + f64::MIN_POSITIVE.sqrt();
-        }
-        let lamps = self.lamps.partial_piv_lu().solve(&self.lamps_gradient);
-        let heights = (0..count)
-            .map(|i| x[(i, 0)] - (0..unknowns).map(|a| x[(i, a + 1)] * lamps[a]).sum::<f64>())
-            .collect();
-        lamps.is_all_finite().then_some((heights, lamps))
-    }
-}
-
-/// Residuals of all rows with their derivatives, each point's diffuse colour taken out of both.
-struct LinearRows {
-    /// Weights over the variance of the residuals.
-    weights: Vec<f64>,
-    left: Vec<[f32; 3]>,
-    /// By the tilt of the point's normal along the two tangents of its frame.
-    by_tilt: [Vec<[f32; 3]>; 2],
-    /// By each of the lamps' unknowns.
-    by_lamps: Vec<Vec<[f32; 3]>>,
-}
-
-impl LinearRows {
-    fn new(design: &Design<'_>, lamps: &Lamps, free_sigma: bool) -> Self {
-        let brdf = &lamps.brdf;
-        let prediction = design.predict(brdf, &lamps.flux);
-        let (weights, variance) = mean_weights(design, brdf, &prediction);
-        let left = residuals(design, brdf, &weights, &prediction).values;
-        let mut by_tilt = [false, true].map(|second| {
-            central_difference(|angle| {
-                let observations = &tilted(design.observations, second, angle);
-                let design = Design {
-                    observations,
-                    ..design.clone()
-                };
-                design.predict(brdf, &lamps.flux).value
-            })
-        });
-        let mut by_lamps = lamps.derivatives(design);
-        if !free_sigma {
-            by_lamps[0].fill([0.0; 3]);
-        }
-        for column in by_tilt.iter_mut().chain(&mut by_lamps) {
-            eliminate_all(design.observations, brdf, &weights, column);
-        }
-        Self {
-            weights: weights.iter().map(|w| f64::from(*w) / variance).collect(),
-            left,
-            by_tilt,
-            by_lamps,
-        }
-    }
-
-    /// A point's equations; those of the lamps alone are added to `equations`.
-    fn point_equations(&self, point: &Point, equations: &mut Equations) -> PointEquations {
-        let mut own = PointEquations {
-            tilt: [0.0; 3],
-            gradient: DVec2::ZERO,
-            coupling: vec![DVec2::ZERO; self.by_lamps.len()],
-        };
-        for row in point.rows.clone() {
-            let weight = self.weights[row];
-            for channel in 0..3 {
-                let at = |rows: &[[f32; 3]]| f64::from(rows[row][channel]);
-                let tilt = DVec2::new(at(&self.by_tilt[0]), at(&self.by_tilt[1]));
-                let z = weight * at(&self.left);
-                own.gradient += z * tilt;
-                own.tilt[0] += weight * tilt.x * tilt.x;
-                own.tilt[1] += weight * tilt.x * tilt.y;
-                own.tilt[2] += weight * tilt.y * tilt.y;
-                for (a, column) in self.by_lamps.iter().enumerate() {
-                    let d = at(column);
-                    if d == 0.0 {
-                        continue;
-                    }
-                    own.coupling[a] += weight * d * tilt;
-                    equations.lamps_gradient[a] += z * d;
-                    for (b, other) in self.by_lamps.iter().enumerate() {
-                        equations.lamps[(a, b)] += weight * d * at(other);
-                    }
-                }
-            }
-        }
-        own
-    }
-}
-
-/// What one point's rows say: of its normal's tilt (xx, xy, yy), and of the tilt with each lamps' unknown.
-struct PointEquations {
-    tilt: [f64; 3],
-    gradient: DVec2,
-    coupling: Vec<DVec2>,
-}
-
 /// A unit normal with its derivatives by heights.
 type Slopes = (DVec3, Vec<(usize, DVec3)>);
 
@@ -620,7 +266,7 @@ impl Relief {
             .collect()
     }
 
-    fn mesh(&self) -> Mesh {
+    pub fn mesh(&self) -> Mesh {
         self.fairing.mesh_at(&self.positions())
     }
 
@@ -676,7 +322,19 @@ impl Relief {
         observations: &Observations,
         free_sigma: bool,
     ) -> Option<()> {
-        let rows = LinearRows::new(&design(solver, lamps, observations), lamps, free_sigma);
+        let design = design(solver, lamps, observations);
+        let mut by_lamps = lamps.derivatives(&design);
+        if !free_sigma {
+            by_lamps[0].fill([0.0; 3]);
+        }
+        let rows = LinearRows::new(&design, (&lamps.brdf, &lamps.flux), by_lamps);
+        let step = self.moved(observations, &rows)?;
+        lamps.take(&step);
+        Some(())
+    }
+
+    /// Moves the heights by a Gauss-Newton step of them and of what may change beside them, whose step is returned.
+    fn moved(&mut self, observations: &Observations, rows: &LinearRows) -> Option<Col<f64>> {
         let slopes = self.slopes();
         let points = &observations.points;
         let parts: Vec<Equations> = (0..RUNS)
@@ -695,16 +353,12 @@ impl Relief {
         for part in &parts {
             equations.merge(part);
         }
-        let Equations {
-            heights, gradient, ..
-        } = &mut equations;
-        self.fairing.add_prior(&self.heights, heights, gradient);
-        let (step, lamps_step) = equations.solve()?;
+        equations.hold(&self.fairing, &self.heights);
+        let (step, others) = equations.solve()?;
         for (h, s) in self.heights.iter_mut().zip(step) {
             *h += s;
         }
-        lamps.take(&lamps_step);
-        Some(())
+        Some(others)
     }
 
     /// For each place its unit normal, and the derivative of that by every height that turns it.
@@ -760,29 +414,6 @@ impl Relief {
         let length = sum.length().max(1e-300);
         tilts.into_iter().map(|(i, t)| (i, t / length)).collect()
     }
-}
-
-/// Rows under the lamps, with their shadows.
-fn design<'o>(solver: &Solver<'o>, lamps: &Lamps, observations: &'o Observations) -> Design<'o> {
-    let mut design = Design {
-        observations,
-        geometry: lamps.geometry(),
-        near: solver.near,
-        seen: SeenCells::default(),
-        diffuse_known: false,
-        shortcuts: solver.shortcuts,
-        workspace: solver.workspace,
-        stop: solver.stop,
-    };
-    let around = lamps.around(solver);
-    design.seen = cell_visibility(
-        &design,
-        solver.pyramid,
-        &around,
-        &lamps.brdf,
-        solver.occluder,
-    );
-    design
 }
 
 #[cfg(test)]

@@ -1,0 +1,159 @@
+//! A few point lamps with the lobe that shows them, which are estimated together with the surface.
+
+use faer::Col;
+use glam::Vec3;
+
+use super::central_difference;
+use crate::estimate::SpecularChoice;
+use crate::estimate::cells::{Cell, CellGeometry};
+use crate::estimate::course::choose;
+use crate::estimate::design::Design;
+use crate::estimate::fast::{Solver, Watch};
+use crate::estimate::observations::Observations;
+use crate::estimate::observer::Stopped;
+use crate::estimate::state::ROUGH;
+use crate::estimate::visibility::{SeenCells, cell_visibility};
+use rekindle_scene::hemisphere::{Lamp, find_lamps};
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
+
+/// The lobe with which lamps are looked for over the one that fits best on unrefined normals.
+pub const WIDER: f32 = 2.0;
+
+/// Most lamps, and the least share of the flux of one.
+const MOST_LAMPS: usize = 12;
+const LEAST_SHARE: f32 = 0.03;
+
+/// Longest step of σ and of a flux, relative, and of a lamp's direction, radians.
+const LONGEST_SIGMA_STEP: f64 = 0.3;
+const LONGEST_FLUX_STEP: f32 = 0.5;
+const LONGEST_TURN: f32 = 0.05;
+
+/// Unknowns of one lamp: two of its direction, three of its flux.
+const PER_LAMP: usize = 5;
+
+/// Point lights with the lobe that shows them.
+#[derive(Clone, Debug)]
+pub struct Lamps {
+    /// Unit directions from the object's centre.
+    pub directions: Vec<Vec3>,
+    /// Radiance × solid angle, RGB, in units of the observations' scale.
+    pub flux: Vec<[f32; 3]>,
+    /// The lobe.
+    pub brdf: Brdf,
+}
+
+/// Lamps in a lobe that is too wide: few, and where the highlights are in the mean over the surface. Beside them the σ of the lobe
+/// that fits best.
+pub fn wide_lamps(
+    solver: &Solver<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<(Lamps, f32), Stopped> {
+    let (coarse, _) = choose(solver, choice, &SpecularModel::ALL, watch)?;
+    let points = solver.middle_observations(&coarse.state);
+    let mut state = solver.refine(&coarse.state, &points);
+    state.brdf.sigma *= WIDER;
+    state.solve_lights(ROUGH);
+    let nodes = solver.pyramid.to_nodes(&state.cells, &state.radiance);
+    let mut found = find_lamps(solver.grid, &nodes);
+    let total: f32 = found.iter().map(Lamp::mean_flux).sum();
+    found.retain(|l| l.mean_flux() > LEAST_SHARE * total);
+    found.truncate(MOST_LAMPS);
+    let lamps = Lamps {
+        directions: found.iter().map(|l| l.direction).collect(),
+        flux: found.iter().map(|l| l.flux).collect(),
+        brdf: state.brdf,
+    };
+    Ok((lamps, coarse.state.brdf.sigma))
+}
+
+impl Lamps {
+    fn geometry(&self) -> CellGeometry {
+        CellGeometry {
+            directions: self.directions.clone(),
+            solid_angles: vec![1.0; self.directions.len()],
+            spread: vec![0.0; self.directions.len()],
+        }
+    }
+
+    /// The coarsest cells that they lie in.
+    pub fn around(&self, solver: &Solver<'_>) -> Vec<Cell> {
+        let directions = self.directions.iter();
+        directions.map(|&d| solver.pyramid.root_at(d)).collect()
+    }
+
+    fn turned(&self, lamp: usize, by: Vec3) -> Self {
+        let mut turned = self.clone();
+        turned.directions[lamp] = (self.directions[lamp] + by).normalize_or_zero();
+        turned
+    }
+
+    /// Derivatives of every row's specular radiance: by σ, then lamp by lamp by the direction along two tangents and by
+    /// the three channels' flux.
+    pub fn derivatives(&self, design: &Design<'_>) -> Vec<Vec<[f32; 3]>> {
+        let mut columns = vec![design.predict(&self.brdf, &self.flux).by_sigma];
+        for (lamp, direction) in self.directions.iter().enumerate() {
+            let (t1, t2) = direction.any_orthonormal_pair();
+            for tangent in [t1, t2] {
+                columns.push(central_difference(|by| {
+                    let geometry = self.turned(lamp, by * tangent).geometry();
+                    let turned = Design {
+                        geometry,
+                        ..design.clone()
+                    };
+                    turned.predict(&self.brdf, &self.flux).value
+                }));
+            }
+            for channel in 0..3 {
+                let mut unit = vec![[0.0; 3]; self.flux.len()];
+                unit[lamp][channel] = 1.0;
+                columns.push(design.predict(&self.brdf, &unit).value);
+            }
+        }
+        columns
+    }
+
+    /// Takes a step of the unknowns in the order of [`Lamps::derivatives`], no part of it too long.
+    pub fn take(&mut self, step: &Col<f64>) {
+        let sigma = f64::from(self.brdf.sigma);
+        let limit = LONGEST_SIGMA_STEP * sigma;
+        self.brdf.sigma = (sigma + step[0].clamp(-limit, limit)) as f32;
+        for lamp in 0..self.directions.len() {
+            let at = |k: usize| step[1 + PER_LAMP * lamp + k] as f32;
+            let (t1, t2) = self.directions[lamp].any_orthonormal_pair();
+            let turn = (at(0) * t1 + at(1) * t2).clamp_length_max(LONGEST_TURN);
+            self.directions[lamp] = (self.directions[lamp] + turn).normalize_or_zero();
+            for (channel, flux) in self.flux[lamp].iter_mut().enumerate() {
+                let limit = LONGEST_FLUX_STEP * *flux;
+                *flux += at(2 + channel).clamp(-limit, limit);
+            }
+        }
+    }
+}
+
+/// Rows under the lamps, with their shadows.
+pub fn design<'o>(
+    solver: &Solver<'o>,
+    lamps: &Lamps,
+    observations: &'o Observations,
+) -> Design<'o> {
+    let mut design = Design {
+        observations,
+        geometry: lamps.geometry(),
+        near: solver.near,
+        seen: SeenCells::default(),
+        diffuse_known: false,
+        shortcuts: solver.shortcuts,
+        workspace: solver.workspace,
+        stop: solver.stop,
+    };
+    let around = lamps.around(solver);
+    design.seen = cell_visibility(
+        &design,
+        solver.pyramid,
+        &around,
+        &lamps.brdf,
+        solver.occluder,
+    );
+    design
+}

@@ -1,0 +1,141 @@
+//! How much a noisy mesh is to be smoothed: as much as the pictures say.
+
+use std::borrow::Cow;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{Bench, Relief};
+use crate::estimate::fast::{CoarseFit, Solver, Watch};
+use crate::estimate::held_out::roughly_left_out;
+use crate::estimate::observations::Seen;
+use crate::estimate::observer::{Stopped, Unobserved, go_on};
+use rekindle_base::math::ranks::placed_signed_ranks;
+use rekindle_capture::Mesh;
+use rekindle_scene::reflectance::SpecularModel;
+use rekindle_scene::surface::{Fairing, NO_TRIANGLE, ViewSurface, simplified};
+
+/// Most triangles of a surface with places of its own to move.
+const MOST_TRIANGLES: usize = 90_000;
+
+/// How noisy surfaces are smoothed: how many times fewer triangles they get, and below which length, in their edges. What is
+/// smoothed much needs few triangles.
+const SMOOTHINGS: [(usize, f64); 8] = [
+    (1, 0.4),
+    (1, 0.7),
+    (1, 1.0),
+    (1, 1.5),
+    (4, 1.0),
+    (4, 1.5),
+    (16, 1.0),
+    (16, 2.0),
+];
+/// So many of them are tried side by side, which are of one mesh.
+const AT_ONCE: usize = 2;
+
+/// A surface that leaves so many times as much as a less smooth one is smoothed too much, as all smoother ones are.
+const TOO_MUCH: f64 = 1.25;
+
+/// A smoother surface may leave more than the best one by so many standard deviations of chance (the one-standard-error rule: Breiman et
+/// al., "Classification and Regression Trees", 1984).
+const AS_GOOD: f64 = 1.0;
+
+/// A smoothed surface, and what a coarse fit to it leaves of views that had no say.
+struct Smoothed {
+    relief: Relief,
+    left: Vec<(Vec3, f64)>,
+}
+
+impl Smoothed {
+    fn of(
+        solver: &Solver<'_>,
+        model: SpecularModel,
+        mesh: &Mesh,
+        length: f64,
+    ) -> Result<Option<Self>, Stopped> {
+        let Some(fairing) = Fairing::smoothing(mesh, length * spacing(mesh)) else {
+            return Ok(None);
+        };
+        let relief = Relief::new(fairing);
+        let smooth = relief.mesh();
+        let bench = Bench::new(&smooth, solver.seen.views);
+        let again = bench.solver(solver, &smooth);
+        let mut watch = Watch {
+            iterations: &mut Vec::new(),
+            observer: &mut Unobserved,
+        };
+        let fit = again.compare_sigmas(model, None, &mut watch)?;
+        let left = roughly_left_out(&again, &fit.state);
+        Ok(Some(Self { relief, left }))
+    }
+
+    fn total(&self) -> f64 {
+        self.left.iter().map(|(_, left)| left).sum()
+    }
+}
+
+/// The surface through a mesh that is as fine as the pictures, smoothed as much as these say: the smoothest that leaves of views
+/// that had no say no more than another one does, but for chance. What is smoothed much needs few triangles.
+pub fn smoothed(
+    solver: &Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Relief>, Stopped> {
+    let pixels = |surface: &ViewSurface| {
+        let object = surface.triangle.iter().filter(|&&t| t != NO_TRIANGLE);
+        object.count()
+    };
+    let largest = solver.seen.surfaces.iter().map(pixels).max().unwrap_or(0);
+    let model = coarse.state.brdf.model;
+    let mut tried: Vec<Smoothed> = Vec::new();
+    let mut least = f64::INFINITY;
+    let mut simpler = (0, Cow::Borrowed(solver.seen.mesh));
+    for some in SMOOTHINGS.chunks(AT_ONCE) {
+        go_on(watch.observer.progress("smoothing the surface", 0.3))?;
+        let (coarser, _) = some[0];
+        if coarser != simpler.0 {
+            let triangles = largest.min(MOST_TRIANGLES) / coarser;
+            simpler = (coarser, Cow::Owned(simplified(solver.seen.mesh, triangles)));
+        }
+        let smooth = |&(_, length): &(usize, f64)| Smoothed::of(solver, model, &simpler.1, length);
+        let found: Result<Vec<_>, Stopped> = some.par_iter().map(smooth).collect();
+        tried.extend(found?.into_iter().flatten());
+        least = tried.iter().map(Smoothed::total).fold(least, f64::min);
+        let is_last = |last: &Smoothed| last.total() > TOO_MUCH * least;
+        if tried.last().is_some_and(is_last) {
+            break;
+        }
+    }
+    let Some(best) = tried.iter().position(|s| s.total() <= least) else {
+        return Ok(None);
+    };
+    let left = &tried[best].left;
+    let is_as_good = |s: &Smoothed| placed_signed_ranks(&s.left, left) <= AS_GOOD;
+    let smoothest = tried[best..].iter().rposition(is_as_good).unwrap_or(0);
+    Ok(Some(tried.swap_remove(best + smoothest).relief))
+}
+
+/// Mean length of the edges of a mesh with one vertex a place.
+fn spacing(mesh: &Mesh) -> f64 {
+    let edges = mesh.triangles.iter().flat_map(|&[a, b, c]| {
+        [(a, b), (b, c), (c, a)].map(|(p, q)| {
+            let [p, q] = [p, q].map(|v| mesh.positions[v as usize]);
+            f64::from(p.distance(q))
+        })
+    });
+    edges.sum::<f64>() / (3 * mesh.triangles.len()).max(1) as f64
+}
+
+/// Pixels that a triangle covers in a view that shows it, in the mean.
+pub fn pixels_per_triangle(seen: &Seen<'_>) -> f64 {
+    let (mut pixels, mut shown) = (0_usize, 0_usize);
+    for surface in seen.surfaces {
+        let object = surface.triangle.iter().filter(|&&t| t != NO_TRIANGLE);
+        let mut triangles: Vec<u32> = object.copied().collect();
+        pixels += triangles.len();
+        triangles.sort_unstable();
+        triangles.dedup();
+        shown += triangles.len();
+    }
+    pixels as f64 / shown.max(1) as f64
+}
