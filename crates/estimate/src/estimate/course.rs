@@ -6,8 +6,9 @@ use super::below::{AllAround, is_lit_from_below};
 use super::fast::{CoarseFit, Fit, Solver, Watch};
 use super::gloss;
 use super::held_out::{CHANCE, predicts_better, shows_gloss};
+use super::observations::Seen;
 use super::observer::{Interim, Stopped, go_on};
-use super::relief::{self, Bench, RefinedSurface};
+use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::state::{ROUGH, State};
 use super::suspects::{Suspicion, left};
 use super::{diagnose, exposures};
@@ -70,44 +71,62 @@ pub struct Rules {
 /// The default method from the first look to the end.
 pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
     with_coarse_fit(solver, rules.choice, watch, |solver, start, watch| {
-        let Start {
-            coarse,
-            because,
-            faint,
-        } = start;
-        let shown = is_glossy(solver, &coarse);
+        let shown = is_glossy(solver, &start.coarse);
         let views = solver.seen.views.len();
         if shown
             && let Some(known) = rules.exposures
-            && let Some(factors) = exposures::differing(&coarse.state, views, known)
+            && let Some(factors) = exposures::differing(&start.coarse.state, views, known)
         {
             return Ok(Outcome::Exposures(factors));
         }
+        // Normals that are off look like patches of gloss, and gloss in patches not like normals that are off: these don't predict.
         let is_still = solver.seen.turning.is_none();
         if is_still
             && solver.first.is_none()
-            && (!shown || diagnose::blames_normals(&coarse.state))
-            && let Some(ending) = on_refined(solver, &coarse, rules.choice, watch)?
+            && (!shown || diagnose::blames_normals(&start.coarse.state))
+            && let Some(ending) = on_refined(solver, &start.coarse, rules.choice, watch)?
         {
             return Ok(Outcome::Found(Box::new(ending)));
         }
-        if !shown
-            && let Some(parts) = faint
-            && let Some(ending) = on_parts(solver, &coarse, &parts, rules.choice, watch)?
-        {
-            return Ok(Outcome::Found(Box::new(ending)));
-        }
-        // Who states a roughness says that there is gloss.
-        let is_stated = solver.sigma.is_some() && !coarse.state.lit().is_empty();
-        if !shown && !is_stated {
-            return Ok(Outcome::Nothing(diagnose::NO_SPECULAR.to_owned()));
-        }
-        let ending = end(solver, &coarse, because, rules.choice, watch)?;
-        Ok(Outcome::Found(Box::new(Ending {
-            is_confirmed: shown,
-            ..ending
-        })))
+        with_parts(
+            solver,
+            start,
+            rules.choice,
+            watch,
+            |solver, start, watch| on_mesh(solver, start, rules.choice, watch),
+        )
     })
+}
+
+/// The end on the mesh as it is.
+fn on_mesh(
+    solver: &Solver<'_>,
+    start: Start<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Outcome, Stopped> {
+    let Start {
+        coarse,
+        because,
+        faint,
+    } = start;
+    let shown = is_glossy(solver, &coarse);
+    if !shown
+        && let Some(parts) = faint
+        && let Some(ending) = on_parts(solver, &coarse, &parts, choice, watch)?
+    {
+        return Ok(Outcome::Found(Box::new(ending)));
+    }
+    // Who states a roughness says that there is gloss.
+    let is_stated = solver.sigma.is_some() && !coarse.state.lit().is_empty();
+    if !shown && !is_stated {
+        return Ok(Outcome::Nothing(diagnose::NO_SPECULAR.to_owned()));
+    }
+    let ending = end(solver, &coarse, because, choice, watch)?;
+    Ok(Outcome::Found(Box::new(Ending {
+        is_confirmed: shown,
+        ..ending
+    })))
 }
 
 /// Whether a coarse fit's lobe is more than an accident. One that leaves open how smooth the surface is, though nobody has stated
@@ -127,8 +146,17 @@ struct Start<'s> {
     faint: Option<GlossParts>,
 }
 
-/// Goes on from the best coarse fit, with light from below the horizon if that explains clearly more, on a surface that has parts
-/// by their strength of gloss if these do.
+impl<'s> Start<'s> {
+    fn of(coarse: CoarseFit<'s>, because: String) -> Self {
+        Self {
+            coarse,
+            because,
+            faint: None,
+        }
+    }
+}
+
+/// Goes on from the best coarse fit, with light from below the horizon if that explains clearly more.
 fn with_coarse_fit<R>(
     solver: &Solver<'_>,
     choice: SpecularChoice,
@@ -145,38 +173,32 @@ fn with_coarse_fit<R>(
         whole.improve_coarse(&mut everywhere, watch)?;
         if is_lit_from_below((&whole, &everywhere), (solver, &coarse)) {
             let (everywhere, because) = choose(&whole, choice, &SpecularModel::ALL, watch)?;
-            return with_parts(&whole, everywhere, because, choice, watch, then);
+            return then(&whole, Start::of(everywhere, because), watch);
         }
     }
-    with_parts(solver, coarse, because, choice, watch, then)
+    then(solver, Start::of(coarse, because), watch)
 }
 
-/// The same from a coarse fit, chosen `because`.
+/// Goes on from a coarse fit, on a surface that has parts by their strength of gloss if these explain clearly more.
 fn with_parts<R>(
     solver: &Solver<'_>,
-    coarse: CoarseFit<'_>,
-    because: String,
+    start: Start<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
     then: impl FnOnce(&Solver<'_>, Start<'_>, &mut Watch<'_>) -> Result<R, Stopped>,
 ) -> Result<R, Stopped> {
-    let (clear, faint) = match patches(solver, &coarse, choice, watch)? {
-        Patches::Clear(parts) => (Some(parts), None),
-        Patches::Faint(parts) => (None, Some(parts)),
-        Patches::None => (None, None),
-    };
-    if let Some(parts) = clear {
-        let parted = solver.parted(&parts);
-        if let Some(start) = better(&parted, (solver, &coarse), choice, watch)? {
-            return then(&parted, start, watch);
+    let faint = match patches(solver, &start.coarse, choice, watch)? {
+        Patches::Clear(parts) => {
+            let parted = solver.parted(&parts);
+            if let Some(start) = better(&parted, (solver, &start.coarse), choice, watch)? {
+                return then(&parted, start, watch);
+            }
+            None
         }
-    }
-    let start = Start {
-        coarse,
-        because,
-        faint,
+        Patches::Faint(parts) => Some(parts),
+        Patches::None => None,
     };
-    then(solver, start, watch)
+    then(solver, Start { faint, ..start }, watch)
 }
 
 /// The coarse fit on parts of the surface, where it explains and predicts the views better than one without.
@@ -189,11 +211,7 @@ fn better<'s>(
     let (coarse, because) = choose(parted, choice, &SpecularModel::ALL, watch)?;
     let is_better = explains_better(&coarse, without)
         && predicts_better(coarse.left_out(parted), without.left_out(solver));
-    Ok(is_better.then_some(Start {
-        coarse,
-        because,
-        faint: None,
-    }))
+    Ok(is_better.then_some(Start::of(coarse, because)))
 }
 
 /// The end on some parts of the surface, where one gloss for all shows nothing.
@@ -229,32 +247,49 @@ fn on_refined(
     let before = placed(&coarse.state);
     let original = &solver.seen;
     with_coarse_fit(&refined, choice, watch, |solver, start, watch| {
-        let coarse = &start.coarse;
-        let is_better = placed_signed_ranks(&before, &placed(&coarse.state)) > CHANCE;
-        if !is_better || !is_glossy(solver, coarse) {
+        if placed_signed_ranks(&before, &placed(&start.coarse.state)) <= CHANCE {
             return Ok(None);
         }
-        let on = |solver: &Solver<'_>, ending: Ending| Ending {
-            refined: Some(RefinedSurface {
-                mesh: solver.seen.mesh.clone(),
-                median_tilt: relief::median_tilt(original, &solver.seen),
-            }),
-            ..ending
-        };
-        let fit = finish(solver, &coarse.state, watch)?;
-        if relief.bend(solver, &fit, watch)? {
-            let mesh = relief.mesh();
-            let bench = Bench::new(&mesh, solver.seen.views);
-            let bent = bench.solver(solver, &mesh);
-            let (again, because) = choose(&bent, choice, &SpecularModel::ALL, watch)?;
-            if again.unexplained < coarse.unexplained {
-                let ending = end(&bent, &again, because, choice, watch)?;
-                return Ok(Some(on(&bent, ending)));
+        with_parts(solver, start, choice, watch, |solver, start, watch| {
+            if !is_glossy(solver, &start.coarse) {
+                return Ok(None);
             }
-        }
-        let ending = end(solver, coarse, start.because, choice, watch)?;
-        Ok(Some(on(solver, ending)))
+            on_relief(solver, start, (&mut relief, original), choice, watch).map(Some)
+        })
     })
+}
+/// The end on a surface that stands for that of `original`: `relief`, which the solver is of, moved under the lights found on it if that
+/// leaves less.
+fn on_relief(
+    solver: &Solver<'_>,
+    start: Start<'_>,
+    (relief, original): (&mut Relief, &Seen<'_>),
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Ending, Stopped> {
+    let on = |solver: &Solver<'_>, ending: Ending| Ending {
+        refined: Some(RefinedSurface {
+            mesh: solver.seen.mesh.clone(),
+            median_tilt: relief::median_tilt(original, &solver.seen),
+        }),
+        ..ending
+    };
+    let Start {
+        coarse, because, ..
+    } = start;
+    let fit = finish(solver, &coarse.state, watch)?;
+    if !watch.observer.enough() && relief.bend(solver, &fit, watch)? {
+        let mesh = relief.mesh();
+        let bench = Bench::new(&mesh, solver.seen.views);
+        let bent = bench.solver(solver, &mesh);
+        let (again, because) = choose(&bent, choice, &SpecularModel::ALL, watch)?;
+        if again.unexplained < coarse.unexplained {
+            let ending = end(&bent, &again, because, choice, watch)?;
+            return Ok(on(&bent, ending));
+        }
+    }
+    let ending = end(solver, &coarse, because, choice, watch)?;
+    Ok(on(solver, ending))
 }
 
 /// What a coarse fit leaves at each of its points, see [`left`], and where these are.

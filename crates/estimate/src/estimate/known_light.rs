@@ -590,7 +590,7 @@ fn align(
 ) -> Result<Turned, Stopped> {
     go_on(watch.observer.progress("turning the light", 0.0))?;
     let nodes = (light.nodes)(0.0);
-    let halves = [0, 1].map(|half| solver.coarse.every_second(half));
+    let halves = [0, 1].map(|half| solver.coarse.every(2, half));
     let mut lit = Lit::new(solver, &halves[0], &LitCells::roots(solver));
     let stated = solver.sigma.as_ref();
     let sigmas: &[f32] = stated.map_or(&SEARCHED, std::slice::from_ref);

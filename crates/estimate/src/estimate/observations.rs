@@ -249,11 +249,11 @@ impl Observations {
         (without, places)
     }
 
-    /// Every second point, from the first or the second on.
+    /// Every so many-th point, from that at `first` on.
     #[must_use]
-    pub fn every_second(&self, first: usize) -> Self {
+    pub fn every(&self, step: usize, first: usize) -> Self {
         let mut some = self.emptied();
-        for point in self.points.iter().skip(first).step_by(2) {
+        for point in self.points.iter().skip(first).step_by(step) {
             some.take(point, self.rows[point.rows.clone()].iter().copied());
         }
         some

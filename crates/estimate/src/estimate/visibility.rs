@@ -64,6 +64,19 @@ impl SeenCells {
             .map(|shares| SeenFrom { shares, columns })
     }
 
+    /// The same of some of the points, or rows.
+    pub(super) fn seen_from(&self, points: impl Iterator<Item = usize>) -> Self {
+        let of = |point: usize| {
+            self.shares
+                .get(point * self.width..(point + 1) * self.width)
+        };
+        let shares: Vec<f32> = points.filter_map(of).flatten().copied().collect();
+        Self {
+            shares: Arc::new(shares),
+            ..self.clone()
+        }
+    }
+
     /// The same of some of the cells.
     pub(super) fn restricted(&self, kept: &[usize]) -> Self {
         let columns = kept.iter().filter_map(|&cell| self.columns.get(cell));

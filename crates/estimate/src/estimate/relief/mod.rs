@@ -48,6 +48,9 @@ use equations::{Equations, LinearRows};
 use lamps::{Lamps, WIDER, design, wide_lamps};
 use smoothing::{pixels_per_triangle, smoothed};
 
+/// What is reported of it.
+const WHAT: &str = "refining the surface";
+
 /// Rounds, and those in which σ stays as it is, so that the lamps find their places first.
 const ROUNDS: usize = 8;
 const ROUNDS_AT_FIRST_SIGMA: usize = 2;
@@ -125,62 +128,27 @@ pub struct Relief {
 }
 
 /// A surface that explains the highlights better than the solver's; `None` where the mesh is neither coarse nor noisy or does not
-/// determine a fair one, or no lamps are found. `coarse` is a fit on the solver's own surface.
+/// determine a fair one. `coarse` is a fit on the solver's own surface.
 pub fn refine(
     solver: &Solver<'_>,
     coarse: &CoarseFit<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Relief>, Stopped> {
-    const WHAT: &str = "refining the surface";
     go_on(watch.observer.progress(WHAT, 0.3))?;
     let start = if pixels_per_triangle(&solver.seen) >= LEAST_PIXELS {
-        Fairing::new(solver.seen.mesh).map(Relief::new)
+        Fairing::new(solver.seen.mesh).map(|fairing| (Relief::new(fairing), true))
     } else {
         smoothed(solver, coarse, watch)?
     };
-    let Some(mut relief) = start else {
+    let Some((mut relief, is_fairer)) = start else {
         return Ok(None);
     };
     let smooth = relief.mesh();
     let bench = Bench::new(&smooth, solver.seen.views);
-    let solver = bench.solver(solver, &smooth);
-    let (mut lamps, sigma) = wide_lamps(&solver, choice, watch)?;
-    if lamps.directions.is_empty() {
-        return Ok(None);
-    }
-    // Of fewer views none can be spared.
-    let on_trial = if solver.seen.views.len() < TURNS {
-        0
-    } else {
-        ROUNDS_ON_TRIAL
-    };
-    for round in 0..ROUNDS {
-        let done = 0.3 + 0.3 * round as f32 / ROUNDS as f32;
-        go_on(watch.observer.progress(WHAT, done))?;
-        let mut points = relief.points(&solver, &lamps);
-        if round < on_trial {
-            points = points.without_views(is_out).0;
-        }
-        let free_sigma = round >= ROUNDS_AT_FIRST_SIGMA;
-        let before = lamps.brdf.sigma;
-        let step = relief.step(&solver, &mut lamps, &points, free_sigma);
-        if step.is_none() || watch.observer.enough() {
-            break;
-        }
-        if round + 1 == on_trial {
-            let sigmas = [sigma, WIDER * sigma, lamps.brdf.sigma];
-            let p = relief.predicts(&solver, &lamps, &sigmas, is_out);
-            if !p {
-                relief.heights.fill(0.0);
-                return Ok(Some(relief));
-            }
-        }
-        if free_sigma && round >= on_trial && (lamps.brdf.sigma / before - 1.0).abs() < SETTLED {
-            break;
-        }
-    }
-    Ok(Some(relief))
+    let on_fair = bench.solver(solver, &smooth);
+    let is_refined = relief.refine_with_lamps(&on_fair, choice, watch)?;
+    Ok((is_refined || is_fairer).then_some(relief))
 }
 
 /// One view in so many is left out on trial.
@@ -312,6 +280,52 @@ impl Relief {
         let refined = left(&present, lamps.brdf.sigma);
         let is_better = |&sigma: &f32| signed_ranks(&left(&fair, sigma), &refined) > CHANCE;
         sigmas.iter().all(is_better)
+    }
+
+    /// Moves the heights together with a few lamps, which `solver`, of the fair surface, finds on it, as long as these explain views that
+    /// had no say in them. Whether they do.
+    fn refine_with_lamps(
+        &mut self,
+        solver: &Solver<'_>,
+        choice: SpecularChoice,
+        watch: &mut Watch<'_>,
+    ) -> Result<bool, Stopped> {
+        let (mut lamps, sigma) = wide_lamps(solver, choice, watch)?;
+        if lamps.directions.is_empty() {
+            return Ok(false);
+        }
+        // Of fewer views none can be spared.
+        let on_trial = if solver.seen.views.len() < TURNS {
+            0
+        } else {
+            ROUNDS_ON_TRIAL
+        };
+        for round in 0..ROUNDS {
+            let done = 0.3 + 0.3 * round as f32 / ROUNDS as f32;
+            go_on(watch.observer.progress(WHAT, done))?;
+            let mut points = self.points(solver, &lamps);
+            if round < on_trial {
+                points = points.without_views(is_out).0;
+            }
+            let free_sigma = round >= ROUNDS_AT_FIRST_SIGMA;
+            let before = lamps.brdf.sigma;
+            let step = self.step(solver, &mut lamps, &points, free_sigma);
+            if step.is_none() || watch.observer.enough() {
+                break;
+            }
+            if round + 1 == on_trial {
+                let sigmas = [sigma, WIDER * sigma, lamps.brdf.sigma];
+                if !self.predicts(solver, &lamps, &sigmas, is_out) {
+                    self.heights.fill(0.0);
+                    return Ok(false);
+                }
+            }
+            let is_settled = (lamps.brdf.sigma / before - 1.0).abs() < SETTLED;
+            if free_sigma && round >= on_trial && is_settled {
+                break;
+            }
+        }
+        Ok(true)
     }
 
     /// A Gauss-Newton step of heights and lamps from points with the present surface's normals. `None` where there is none.

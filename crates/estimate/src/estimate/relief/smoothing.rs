@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::{Bench, Relief};
 use crate::estimate::fast::{CoarseFit, Solver, Watch};
-use crate::estimate::held_out::roughly_left_out;
+use crate::estimate::held_out::{CHANCE, roughly_left_out};
 use crate::estimate::observations::Seen;
 use crate::estimate::observer::{Stopped, Unobserved, go_on};
 use rekindle_base::math::ranks::placed_signed_ranks;
@@ -75,12 +75,13 @@ impl Smoothed {
 }
 
 /// The surface through a mesh that is as fine as the pictures, smoothed as much as these say: the smoothest that leaves of views
-/// that had no say no more than another one does, but for chance. What is smoothed much needs few triangles.
+/// that had no say no more than another one does, but for chance. What is smoothed much needs few triangles. Beside it whether it leaves
+/// less than the mesh itself, beyond chance, with the lights of `coarse`.
 pub fn smoothed(
     solver: &Solver<'_>,
     coarse: &CoarseFit<'_>,
     watch: &mut Watch<'_>,
-) -> Result<Option<Relief>, Stopped> {
+) -> Result<Option<(Relief, bool)>, Stopped> {
     let pixels = |surface: &ViewSurface| {
         let object = surface.triangle.iter().filter(|&&t| t != NO_TRIANGLE);
         object.count()
@@ -112,7 +113,10 @@ pub fn smoothed(
     let left = &tried[best].left;
     let is_as_good = |s: &Smoothed| placed_signed_ranks(&s.left, left) <= AS_GOOD;
     let smoothest = tried[best..].iter().rposition(is_as_good).unwrap_or(0);
-    Ok(Some(tried.swap_remove(best + smoothest).relief))
+    let Smoothed { relief, left } = tried.swap_remove(best + smoothest);
+    let unsmoothed = roughly_left_out(solver, &coarse.state);
+    let is_better = placed_signed_ranks(&unsmoothed, &left) > CHANCE;
+    Ok(Some((relief, is_better)))
 }
 
 /// Mean length of the edges of a mesh with one vertex a place.

@@ -275,7 +275,7 @@ fn distance(near: Option<(Vec3, f32)>, direction: Vec3, position: Vec3) -> f32 {
 /// still with the object, beyond chance and by far.
 pub fn is_told(solver: &Solver<'_>) -> bool {
     let observations = solver.colours(POINTS).to_gray();
-    let halves = [0, 1].map(|first| observations.every_second(first));
+    let halves = [0, 1].map(|first| observations.every(2, first));
     let grid = solver.grid.to_whole();
     let pyramid = Pyramid::new(&grid, FREQUENCY);
     let cells = pyramid.roots();
