@@ -74,8 +74,12 @@ impl LowerEntries {
 
     /// Adds another matrix.
     pub fn extend(&mut self, other: &Self) {
-        for (row, column, value) in other.iter() {
-            self.add(row, column, value);
+        if self.columns.len() < other.columns.len() {
+            self.columns.resize(other.columns.len(), Vec::new());
+        }
+        let columns = self.columns.iter_mut().zip(&other.columns);
+        for (own, others) in columns.filter(|(_, others)| !others.is_empty()) {
+            *own = merged(own, others);
         }
     }
 
@@ -88,6 +92,26 @@ impl LowerEntries {
                 .map(move |&(row, value)| (row, column, value))
         })
     }
+}
+
+/// Entries of one column or the other, rows ascending, those of one row added up.
+fn merged(one: &[(usize, f64)], other: &[(usize, f64)]) -> Vec<(usize, f64)> {
+    let mut all = Vec::with_capacity(one.len() + other.len());
+    let (mut one, mut other) = (one.iter().peekable(), other.iter().peekable());
+    while let (Some(&&(row, value)), Some(&&(next, further))) = (one.peek(), other.peek()) {
+        let mut sum = 0.0;
+        if row <= next {
+            sum += value;
+            one.next();
+        }
+        if next <= row {
+            sum += further;
+            other.next();
+        }
+        all.push((row.min(next), sum));
+    }
+    all.extend(one.chain(other));
+    all
 }
 
 #[cfg(test)]
@@ -110,6 +134,28 @@ mod tests {
         for i in 0..n {
             assert!((x[(i, 0)] - (1.0 / 1.5 + i as f64)).abs() < 1e-12, "{i}");
         }
+    }
+
+    #[test]
+    fn a_sum_of_matrices_has_the_entries_of_both() {
+        let mut one = LowerEntries::default();
+        let mut other = LowerEntries::default();
+        for (row, column, value) in [(0, 0, 1.0), (3, 1, 2.0), (1, 1, 5.0)] {
+            one.add(row, column, value);
+        }
+        for (row, column, value) in [(3, 1, 0.5), (2, 1, 4.0), (6, 5, 7.0)] {
+            other.add(row, column, value);
+        }
+        one.extend(&other);
+        let all: Vec<_> = one.iter().collect();
+        let expected = [
+            (0, 0, 1.0),
+            (1, 1, 5.0),
+            (2, 1, 4.0),
+            (3, 1, 2.5),
+            (6, 5, 7.0),
+        ];
+        assert_eq!(all, expected);
     }
 
     #[test]

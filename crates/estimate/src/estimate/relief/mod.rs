@@ -26,7 +26,7 @@ mod held;
 mod lamps;
 mod smoothing;
 
-use std::collections::BTreeMap;
+use std::ops::AddAssign;
 
 use faer::Col;
 use glam::{DVec2, DVec3, Vec3};
@@ -212,6 +212,19 @@ fn turn(observations: &mut Observations, normal: impl Fn(&Point) -> Vec3) {
 /// A unit normal with its derivatives by heights.
 type Slopes = (DVec3, Vec<(usize, DVec3)>);
 
+/// Values of numbered unknowns, ascending, those of the same one added up.
+fn summed<T: Copy + AddAssign>(mut values: Vec<(usize, T)>) -> Vec<(usize, T)> {
+    values.sort_by_key(|&(i, _)| i);
+    values.dedup_by(|next, sum| {
+        let is_same = next.0 == sum.0;
+        if is_same {
+            sum.1 += next.1;
+        }
+        is_same
+    });
+    values
+}
+
 impl Relief {
     fn new(fairing: Fairing) -> Self {
         let along = area_vectors(&fairing.positions, &fairing.triangles)
@@ -379,29 +392,25 @@ impl Relief {
     fn slopes(&self) -> Vec<Slopes> {
         let positions = self.positions();
         let triangles = &self.fairing.triangles;
-        let mut by_height: Vec<BTreeMap<usize, DVec3>> = vec![BTreeMap::new(); positions.len()];
+        let mut turned: Vec<Vec<(usize, DVec3)>> = vec![Vec::new(); positions.len()];
         for t in triangles {
             for k in 0..3 {
                 let [i, j, l] = [t[k], t[(k + 1) % 3], t[(k + 2) % 3]];
                 // Of the area vector ½ (xᵢ × xⱼ + xⱼ × xₗ + xₗ × xᵢ).
                 let slope = 0.5 * (positions[l] - positions[j]).cross(self.along[i]);
                 for &place in t {
-                    *by_height[place].entry(i).or_default() += slope;
+                    turned[place].push((i, slope));
                 }
             }
         }
         let sums = area_vectors(&positions, triangles);
-        sums.into_iter()
-            .zip(by_height)
-            .map(|(sum, slopes)| {
-                let normal = sum.normalize_or_zero();
-                let unit = |d: DVec3| (d - normal * normal.dot(d)) / sum.length().max(1e-300);
-                (
-                    normal,
-                    slopes.into_iter().map(|(i, d)| (i, unit(d))).collect(),
-                )
-            })
-            .collect()
+        let of_place = |(sum, slopes): (DVec3, Vec<(usize, DVec3)>)| {
+            let normal = sum.normalize_or_zero();
+            let unit = |d: DVec3| (d - normal * normal.dot(d)) / sum.length().max(1e-300);
+            let slopes = summed(slopes).into_iter().map(|(i, d)| (i, unit(d)));
+            (normal, slopes.collect())
+        };
+        sums.into_par_iter().zip(turned).map(of_place).collect()
     }
 
     /// Derivative of a point's normal, along the tangents of its frame, by every height that turns it.
@@ -416,17 +425,18 @@ impl Relief {
         let (t1, t2) = point.normal.any_orthonormal_pair();
         let (t1, t2) = (t1.as_dvec3(), t2.as_dvec3());
         let mut sum = DVec3::ZERO;
-        let mut tilts: BTreeMap<usize, DVec2> = BTreeMap::new();
+        let mut tilts = Vec::new();
         for (&place, weight) in corners.iter().zip(weights) {
             let (normal, slopes) = &slopes[place];
             sum += f64::from(weight) * *normal;
             for (i, slope) in slopes {
                 let tilt = DVec2::new(t1.dot(*slope), t2.dot(*slope));
-                *tilts.entry(*i).or_default() += f64::from(weight) * tilt;
+                tilts.push((*i, f64::from(weight) * tilt));
             }
         }
         let length = sum.length().max(1e-300);
-        tilts.into_iter().map(|(i, t)| (i, t / length)).collect()
+        let tilts = summed(tilts).into_iter();
+        tilts.map(|(i, t)| (i, t / length)).collect()
     }
 }
 
