@@ -8,11 +8,13 @@ use crate::estimate::SpecularChoice;
 use crate::estimate::cells::{Cell, CellGeometry};
 use crate::estimate::course::choose;
 use crate::estimate::design::Design;
-use crate::estimate::fast::{Solver, Watch};
+use crate::estimate::fast::{CoarseFit, Solver, Watch};
+use crate::estimate::held_out::{CHANCE, roughly_left_out};
 use crate::estimate::observations::Observations;
 use crate::estimate::observer::Stopped;
 use crate::estimate::state::ROUGH;
 use crate::estimate::visibility::{SeenCells, cell_visibility};
+use rekindle_base::math::ranks::signed_ranks;
 use rekindle_scene::hemisphere::{Lamp, find_lamps};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 
@@ -42,6 +44,28 @@ pub struct Lamps {
     pub brdf: Brdf,
 }
 
+/// Lobes that are preferred: long tails explain normals that are off.
+const SHORT_TAILED: [SpecularModel; 2] = [SpecularModel::Paper, SpecularModel::Beckmann];
+
+/// The coarse fit that leaves least; one with a long tail has to predict views that had no say better than those without, beyond chance.
+fn wide_fit<'s>(
+    solver: &'s Solver<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<CoarseFit<'s>, Stopped> {
+    let (any, _) = choose(solver, choice, &SpecularModel::ALL, watch)?;
+    if choice != SpecularChoice::Auto || SHORT_TAILED.contains(&any.state.brdf.model) {
+        return Ok(any);
+    }
+    let (short, _) = choose(solver, choice, &SHORT_TAILED, watch)?;
+    let left = |fit: &CoarseFit<'_>| -> Vec<f64> {
+        let left = roughly_left_out(solver, &fit.state);
+        left.into_iter().map(|(_, left)| left).collect()
+    };
+    let is_better = signed_ranks(&left(&short), &left(&any)) > CHANCE;
+    Ok(if is_better { any } else { short })
+}
+
 /// Lamps in a lobe that is too wide: few, and where the highlights are in the mean over the surface. Beside them the σ of the lobe
 /// that fits best.
 pub fn wide_lamps(
@@ -49,7 +73,7 @@ pub fn wide_lamps(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<(Lamps, f32), Stopped> {
-    let (coarse, _) = choose(solver, choice, &SpecularModel::ALL, watch)?;
+    let coarse = wide_fit(solver, choice, watch)?;
     let points = solver.middle_observations(&coarse.state);
     let mut state = solver.refine(&coarse.state, &points);
     state.brdf.sigma *= WIDER;

@@ -147,7 +147,8 @@ pub fn refine(
     let smooth = relief.mesh();
     let bench = Bench::new(&smooth, solver.seen.views);
     let on_fair = bench.solver(solver, &smooth);
-    let is_refined = relief.refine_with_lamps(&on_fair, choice, watch)?;
+    let (lamps, sigma) = wide_lamps(&on_fair, choice, watch)?;
+    let is_refined = relief.refine_with_lamps(&on_fair, lamps, sigma, watch)?;
     Ok((is_refined || is_fairer).then_some(relief))
 }
 
@@ -295,15 +296,15 @@ impl Relief {
         sigmas.iter().all(is_better)
     }
 
-    /// Moves the heights together with a few lamps, which `solver`, of the fair surface, finds on it, as long as these explain views that
-    /// had no say in them. Whether they do.
+    /// Moves the heights together with a few lamps, found on the fair surface, which `solver` is of and where a lobe of `sigma` fits best, as
+    /// long as that explains views that had no say in it. Whether it does.
     fn refine_with_lamps(
         &mut self,
         solver: &Solver<'_>,
-        choice: SpecularChoice,
+        mut lamps: Lamps,
+        sigma: f32,
         watch: &mut Watch<'_>,
     ) -> Result<bool, Stopped> {
-        let (mut lamps, sigma) = wide_lamps(solver, choice, watch)?;
         if lamps.directions.is_empty() {
             return Ok(false);
         }
