@@ -228,6 +228,44 @@ fn a_mesh_coarser_than_the_highlights_is_refined() {
     lamps_of_spot_paper_are_found(&found);
 }
 
+#[test]
+fn a_mesh_with_a_scanners_noise_is_smoothed_and_refined() {
+    let mut capture = load();
+    let mesh = &mut capture.mesh;
+    let noise = 5e-4 * mesh.diagonal();
+    let place_of = mesh.places();
+    for (v, place) in place_of.iter().enumerate() {
+        let normal = Random(u64::from(*place).wrapping_mul(0x9e37_79b9_7f4a_7c15)).normal();
+        let along = mesh.normals[v];
+        mesh.positions[v] += noise * normal * along;
+    }
+    let mut normals = vec![Vec3::ZERO; mesh.positions.len()];
+    for t in &mesh.triangles {
+        let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
+        for v in t {
+            normals[place_of[*v as usize] as usize] += (b - a).cross(c - a);
+        }
+    }
+    let exact = mesh.normals.clone();
+    for (normal, &place) in mesh.normals.iter_mut().zip(&place_of) {
+        *normal = normals[place as usize].normalize_or_zero();
+    }
+    let off = |normals: &[Vec3]| -> f32 {
+        let mut angles: Vec<f32> = (normals.iter().zip(&exact))
+            .map(|(a, b)| a.angle_between(*b).to_degrees())
+            .collect();
+        angles.sort_by(f32::total_cmp);
+        angles[angles.len() / 2]
+    };
+    assert!(off(&mesh.normals) > 2.0, "{}°", off(&mesh.normals));
+    let found = fast(&capture);
+    assert!(found.refined.is_some(), "{:?}", found.diagnostics);
+    // From the truth.json of spot_paper.
+    let sigma = found.brdf.unwrap().sigma;
+    assert!((sigma / 0.085 - 1.0).abs() < 0.05, "{sigma}");
+    lamps_of_spot_paper_are_found(&found);
+}
+
 /// Whether both lamps of `spot_paper` (from its truth.json) are found within 1°, and hardly any other light.
 fn lamps_of_spot_paper_are_found(found: &Estimate) {
     let lamps = find_lamps(&found.grid, &found.radiance);

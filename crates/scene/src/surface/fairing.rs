@@ -356,6 +356,71 @@ mod tests {
         assert!(after < 0.6 * before, "{before}° before, {after}° after");
     }
 
+    /// Two slopes that meet at right angles along the line x = 0, of triangles with legs of 1 and noise of 0.1 along the vertical.
+    fn noisy_ridge() -> Mesh {
+        const HALF: i32 = 24;
+        let mut mesh = Mesh::default();
+        for i in -HALF..=HALF {
+            for j in -HALF..=HALF {
+                let noise = (f64::from(i) * 12.9898 + f64::from(j) * 78.233).sin() * 43758.5453;
+                let height = 0.1 * (2.0 * (noise - noise.floor()) - 1.0) - f64::from(i.abs());
+                mesh.positions
+                    .push(DVec3::new(f64::from(i), f64::from(j), height).as_vec3());
+            }
+        }
+        let side = 2 * HALF as u32 + 1;
+        for i in 0..side - 1 {
+            for j in 0..side - 1 {
+                let [a, b] = [i * side + j, (i + 1) * side + j];
+                mesh.triangles.extend([[a, b, a + 1], [a + 1, b, b + 1]]);
+            }
+        }
+        mesh.normals = vec![Vec3::Z; mesh.positions.len()];
+        mesh
+    }
+
+    /// Median angle in degrees between the normals of faces so far from the ridge and those of the slopes.
+    fn off_ridge(
+        (places, place_of): (&[DVec3], &[u32]),
+        mesh: &Mesh,
+        distance: std::ops::Range<f64>,
+    ) -> f64 {
+        let mut errors: Vec<f64> = Vec::new();
+        for t in &mesh.triangles {
+            let [a, b, c] = t.map(|v| places[place_of[v as usize] as usize]);
+            let middle = (a + b + c) / 3.0;
+            // The rim is free.
+            if distance.contains(&middle.x.abs()) && middle.y.abs() < 20.0 {
+                let slope = DVec3::new(middle.x.signum(), 0.0, 1.0);
+                errors.push((b - a).cross(c - a).angle_between(slope).to_degrees());
+            }
+        }
+        errors.sort_by(f64::total_cmp);
+        errors[errors.len() / 2]
+    }
+
+    #[test]
+    fn smoothing_takes_noise_away_and_leaves_a_crease() {
+        let mesh = noisy_ridge();
+        let smooth = Fairing::smoothing(&mesh, 1.5).unwrap();
+        let flat = Flat::new(mesh.clone());
+        let (bends, area) = flat.bends();
+        let held: Vec<(SparseRow, f64)> = (area.iter().enumerate())
+            .map(|(place, area)| (vec![(place, 1.0)], area / 1.5_f64.powi(4)))
+            .collect();
+        let even = flat.least_bent(&bends, &held).unwrap().1;
+        let (noisy, place_of) = (flat.places, flat.place_of);
+        let [before, after] =
+            [&noisy, &smooth.positions].map(|at| off_ridge((at, &place_of), &mesh, 6.0..18.0));
+        assert!(after < 0.4 * before, "{before}° before, {after}° after");
+        let [even, creased] =
+            [&even, &smooth.positions].map(|at| off_ridge((at, &place_of), &mesh, 0.0..2.0));
+        assert!(
+            creased < 0.6 * even,
+            "{even}° evenly, {creased}° with a crease"
+        );
+    }
+
     #[test]
     fn the_fair_surface_is_the_minimum() {
         let coarse = bumpy_sphere(8, 0.1);
