@@ -10,7 +10,7 @@ use super::observations::Seen;
 use super::observer::{Interim, Stopped, go_on};
 use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::state::{ROUGH, State};
-use super::suspects::{Suspicion, left};
+use super::suspects::{Suspect, Suspicion, left};
 use super::{diagnose, exposures};
 use glam::Vec3;
 use rekindle_base::math::ranks::{SURE, placed_signed_ranks, signed_ranks};
@@ -245,19 +245,27 @@ fn on_refined(
     let bench = Bench::new(&mesh, solver.seen.views);
     let refined = bench.solver(solver, &mesh);
     let before = placed(&coarse.state);
-    let original = &solver.seen;
+    let on_mesh = solver;
     with_coarse_fit(&refined, choice, watch, |solver, start, watch| {
-        if placed_signed_ranks(&before, &placed(&start.coarse.state)) <= CHANCE {
+        let z = placed_signed_ranks(&before, &placed(&start.coarse.state));
+        // Turned normals can stand for much else that is wrong: what has a name goes before them unless they are sure.
+        if z <= CHANCE || (z <= SURE && has_named_cause(on_mesh, coarse)?) {
             return Ok(None);
         }
         with_parts(solver, start, choice, watch, |solver, start, watch| {
             if !is_glossy(solver, &start.coarse) {
                 return Ok(None);
             }
-            on_relief(solver, start, (&mut relief, original), choice, watch).map(Some)
+            on_relief(solver, start, (&mut relief, &on_mesh.seen), choice, watch).map(Some)
         })
     })
 }
+/// Whether the photographs contradict what is stated of lights or numbers, judged from a coarse fit. One odd view may be one of poor normals.
+fn has_named_cause(solver: &Solver<'_>, coarse: &CoarseFit<'_>) -> Result<bool, Stopped> {
+    let suspicion = solver.suspicion(&coarse.state)?;
+    Ok(suspicion.is_some_and(|found| !matches!(found.suspect, Suspect::View(_))))
+}
+
 /// The end on a surface that stands for that of `original`: `relief`, which the solver is of, moved under the lights found on it if that
 /// leaves less.
 fn on_relief(
