@@ -19,10 +19,10 @@ use rekindle_scene::reflectance::{Brdf, SpecularModel};
 
 /// Views are left out in so many turns at most.
 const MOST_TURNS: usize = 6;
+/// And in so many where it need not be known as well.
+const ROUGH_TURNS: usize = 3;
 /// What chance exceeds in one case of twenty, in standard deviations.
 pub const CHANCE: f64 = 1.645;
-/// The same where it need not be known as well.
-const ROUGH_TURNS: usize = 3;
 /// Points that are looked at: many, as most show no highlight.
 const POINTS: usize = 8000;
 /// Fewest of them that say roughly what lights there are.

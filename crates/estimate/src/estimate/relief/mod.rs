@@ -269,13 +269,7 @@ impl Relief {
 
     /// Whether views that had no say in the heights are explained better by them, beyond chance, than by the fair surface at any of
     /// some roughnesses: with the lamps that were found, as bright on each surface as the other views say.
-    fn predicts(
-        &self,
-        solver: &Solver<'_>,
-        lamps: &Lamps,
-        sigmas: &[f32],
-        is_out: impl Fn(usize) -> bool,
-    ) -> bool {
+    fn predicts(&self, solver: &Solver<'_>, lamps: &Lamps, sigmas: &[f32]) -> bool {
         let fair = solver.points_showing(&lamps.directions, &lamps.brdf, POINTS_ON_TRIAL);
         let fair = fair.to_gray();
         let mut present = fair.clone();
@@ -288,7 +282,7 @@ impl Relief {
                 sigma,
                 ..lamps.brdf
             };
-            let left = left_in(on, &around, brdf, &in_noise(on, noise), &[0.0], &is_out);
+            let left = left_in(on, &around, brdf, &in_noise(on, noise), &[0.0], is_out);
             left.iter().flatten().map(|left| left.lit).collect()
         };
         let refined = left(&present, lamps.brdf.sigma);
@@ -329,7 +323,7 @@ impl Relief {
             }
             if round + 1 == on_trial {
                 let sigmas = [sigma, WIDER * sigma, lamps.brdf.sigma];
-                if !self.predicts(solver, &lamps, &sigmas, is_out) {
+                if !self.predicts(solver, &lamps, &sigmas) {
                     self.heights.fill(0.0);
                     return Ok(false);
                 }
