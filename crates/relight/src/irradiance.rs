@@ -3,12 +3,12 @@
 //! Most triangles tell what their texels see of each lamp ([`TriangleShares`]). On the others texels cast rays: every eighth
 //! one in both directions, those between only where their neighbours differ by more than a smooth penumbra does.
 
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::render::Scene;
 use super::shading::{Shader, ShadingPoint, Visibility};
-use super::triangle_shares::{Shares, TriangleShares, between};
+use super::triangle_shares::{TriangleShares, between};
 use rekindle_scene::surface::{Atlas, Texel};
 
 /// Texels along each side of a tile, the unit of work: whole steps of the coarsest stride.
@@ -31,18 +31,23 @@ pub fn texel_irradiance(
     triangles: &TriangleShares,
 ) -> Vec<Vec3> {
     let (width, height) = (atlas.width as usize, atlas.height as usize);
-    let shares_of = |texel: &Texel| triangles.of(texel.triangle);
     // Texels whose triangles tell all at once; the others are left for their tiles.
     let first: Vec<Option<Vec3>> = atlas
         .texels
         .par_iter()
         .map_with(Vec::new(), |seen, texel| {
+            let (soft, groups) = triangles.beforehand(texel.triangle, texel.barycentric);
             seen.clear();
-            for shares in shares_of(texel)? {
-                seen.push(Visibility::Fraction(between((*shares)?, texel.barycentric)));
+            for &group in groups {
+                let shares = triangles.of(texel.triangle, group)?;
+                seen.push((
+                    group,
+                    Visibility::Fraction(between(shares, texel.barycentric)),
+                ));
             }
             let point = ShadingPoint::on(scene.mesh, texel.triangle, texel.barycentric);
-            Some(shader.irradiance(&point, seen))
+            let told = seen.iter().map(|(group, seen)| (*group, seen));
+            Some(shader.ambient + soft + shader.irradiance_by(&point, told))
         })
         .collect();
     let mut irradiance = vec![Vec3::ZERO; width * height];
@@ -78,10 +83,8 @@ pub fn texel_irradiance(
                     .iter()
                     .map(|t| t.map(|t| ShadingPoint::on(scene.mesh, t.triangle, t.barycentric)))
                     .collect(),
-                known: texels
-                    .iter()
-                    .map(|t| t.and_then(|t| Some((shares_of(t)?, t.barycentric))))
-                    .collect(),
+                texels,
+                triangles,
                 wanted,
                 size: [w, h],
                 spacing,
@@ -100,8 +103,8 @@ pub fn texel_irradiance(
 /// A rectangle of texels, some of which are looked at one by one.
 struct Tile<'a> {
     points: Vec<Option<ShadingPoint>>,
-    /// What their triangles tell, with their barycentric weights.
-    known: Vec<Option<(&'a [Shares], Vec2)>>,
+    texels: Vec<Option<&'a Texel>>,
+    triangles: &'a TriangleShares,
     /// Texels whose irradiance is asked for.
     wanted: Vec<bool>,
     size: [usize; 2],
@@ -124,19 +127,27 @@ enum Seen {
 impl Tile<'_> {
     /// Index and irradiance of each of the wanted texels.
     fn irradiance(&self) -> Vec<(usize, Vec3)> {
-        let groups: Vec<Vec<Seen>> = (0..self.shader.groups()).map(|g| self.seen(g)).collect();
-        (0..self.points.len())
-            .filter(|&i| self.wanted[i])
-            .filter_map(|i| {
-                let point = self.points[i].as_ref()?;
-                let seen: Vec<Visibility> = groups
-                    .iter()
-                    .map(|seen| match seen[i] {
-                        Seen::Share(share) => Visibility::Fraction(share),
-                        Seen::Unknown | Seen::Below => Visibility::Below,
-                    })
-                    .collect();
-                Some((i, self.shader.irradiance(point, &seen)))
+        let beforehand: Vec<Option<(Vec3, &[usize])>> = (self.texels.iter().zip(&self.wanted))
+            .map(|(texel, wanted)| {
+                let texel = (*texel).filter(|_| *wanted)?;
+                Some((self.triangles).beforehand(texel.triangle, texel.barycentric))
+            })
+            .collect();
+        let mut groups: Vec<Vec<Seen>> = vec![Vec::new(); self.shader.groups()];
+        for &group in beforehand.iter().flatten().flat_map(|(_, left)| *left) {
+            if groups[group].is_empty() {
+                groups[group] = self.seen(group);
+            }
+        }
+        (beforehand.iter().enumerate())
+            .filter_map(|(i, beforehand)| {
+                let (point, (soft, left)) = (self.points[i].as_ref()?, (*beforehand)?);
+                let seen = left.iter().filter_map(|&group| match groups[group][i] {
+                    Seen::Share(share) => Some((group, Visibility::Fraction(share))),
+                    Seen::Unknown | Seen::Below => None,
+                });
+                let looked_at = self.shader.irradiance_by(point, seen);
+                Some((i, self.shader.ambient + soft + looked_at))
             })
             .collect()
     }
@@ -183,8 +194,9 @@ impl Tile<'_> {
 
     /// What a texel's triangle tells of a lamp's share.
     fn told(&self, i: usize, group: usize) -> Option<f32> {
-        let (shares, barycentric) = self.known[i]?;
-        Some(between(shares[group]?, barycentric))
+        let texel = self.texels[i]?;
+        let shares = self.triangles.of(texel.triangle, group)?;
+        Some(between(shares, texel.barycentric))
     }
 
     /// The mean of the texels around that are on the grid of a stride, if they differ by no more than `max_step`.

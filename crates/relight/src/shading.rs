@@ -154,6 +154,8 @@ struct Group {
     axis: Vec3,
     /// Angular radius about the middle seen from the centre, radians.
     reach: f32,
+    /// How far below a point's horizon its middle is where all of it is: a sine.
+    sine: f32,
     /// Nodes that tell whether the lamp is seen.
     probes: Vec<usize>,
     /// Nodes spread over a lamp of many.
@@ -172,7 +174,7 @@ pub struct Shader<'a> {
     brdf: Option<Brdf>,
     groups: Vec<Group>,
     /// Irradiance by the ambient part.
-    ambient: Vec3,
+    pub(super) ambient: Vec3,
     /// See [`Brdf::tint`].
     tint: Vec3,
     support: Support,
@@ -252,6 +254,7 @@ impl Group {
             near: lamp.radius.map(|r| r * r),
             axis: place(lamp.direction),
             reach,
+            sine: sine(reach),
             probes,
             scouts,
             among,
@@ -273,6 +276,13 @@ impl Group {
                 (offset / distance, squared_radius / squared, distance)
             }
         }
+    }
+
+    /// Unit direction to a node and its distance, unless it is behind the surface.
+    fn ray_to(&self, node: usize, point: &ShadingPoint) -> Option<(Vec3, f32)> {
+        let (l, _, distance) = self.towards(self.nodes[node].place, point.position);
+        let in_front = l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0;
+        in_front.then_some((l, distance))
     }
 
     /// Largest angle between the axis and a node, seen from a surface point; radians.
@@ -304,10 +314,10 @@ impl Group {
     fn horizon(&self, point: &ShadingPoint) -> Horizon {
         let (axis, falloff, _) = self.towards(self.axis, point.position);
         let height = axis.dot(point.normal).min(axis.dot(point.face_normal));
-        let reach = self
-            .reach_from(falloff)
-            .min(std::f32::consts::FRAC_PI_2)
-            .sin();
+        let reach = match self.near {
+            None => self.sine,
+            Some(_) => sine(self.reach_from(falloff)),
+        };
         if height > reach {
             Horizon::Above
         } else if height < -reach {
@@ -316,6 +326,11 @@ impl Group {
             Horizon::Across
         }
     }
+}
+
+/// The sine of an angular radius, 1 where that is more than a right angle.
+fn sine(reach: f32) -> f32 {
+    reach.min(std::f32::consts::FRAC_PI_2).sin()
 }
 
 /// What a group of nodes is.
@@ -516,9 +531,8 @@ impl<'a> Shader<'a> {
         tell: impl FnMut(usize, bool),
     ) {
         let rays = nodes.iter().enumerate().filter_map(|(place, &node)| {
-            let (l, _, distance) = group.towards(group.nodes[node].place, point.position);
-            let in_front = l.dot(point.normal) > 0.0 && l.dot(point.face_normal) > 0.0;
-            in_front.then_some((place, l, distance))
+            let (l, distance) = group.ray_to(node, point)?;
+            Some((place, l, distance))
         });
         self.occluder.each_occluded(origin, rays, tell);
     }
@@ -541,11 +555,7 @@ impl<'a> Shader<'a> {
             }
         });
         if group.soft {
-            return Visibility::Fraction(if blocked + clear == 0 {
-                1.0
-            } else {
-                clear as f32 / (blocked + clear) as f32
-            });
+            return Visibility::Fraction(fraction(blocked, clear));
         }
         match (blocked, clear) {
             (0, 1..) => Visibility::Whole,
@@ -588,6 +598,42 @@ impl<'a> Shader<'a> {
     /// Part of a group's light, of what is above the horizon, that reaches a point; `None` where all of it is below.
     pub fn seen_share(&self, point: &ShadingPoint, group: usize) -> Option<f32> {
         self.share(point, group, &self.cast(point, group))
+    }
+
+    /// [`Shader::seen_share`] of every group. Rays to those without sharp shadows, which are many beside each other, go together.
+    pub fn seen_shares(&self, point: &ShadingPoint) -> Vec<Option<f32>> {
+        let mut shares = vec![None; self.groups.len()];
+        if self.is_stopped() {
+            return shares;
+        }
+        let origin = self
+            .occluder
+            .offset_origin(point.position, point.face_normal);
+        let is_cast = |g: &usize| {
+            let group = &self.groups[*g];
+            group.soft && group.horizon(point) != Horizon::Below
+        };
+        let soft = (0..shares.len()).filter(is_cast);
+        let rays = soft.clone().flat_map(|g| {
+            let group = &self.groups[g];
+            let probes = group.probes.iter();
+            probes.filter_map(move |&node| {
+                let (l, distance) = group.ray_to(node, point)?;
+                Some((g, l, distance))
+            })
+        });
+        let mut counts = vec![[0_u32; 2]; shares.len()];
+        self.occluder.each_occluded(origin, rays, |g, is_blocked| {
+            counts[g][usize::from(is_blocked)] += 1;
+        });
+        for g in soft {
+            let [clear, blocked] = counts[g];
+            shares[g] = Some(fraction(blocked, clear));
+        }
+        for g in (0..shares.len()).filter(|&g| self.is_sharp(g)) {
+            shares[g] = self.seen_share(point, g);
+        }
+        shares
     }
 
     /// [`Shader::seen_share`] of a visibility that is known.
@@ -759,9 +805,26 @@ impl<'a> Shader<'a> {
 
     /// Irradiance at a point, given its visibilities.
     pub fn irradiance(&self, point: &ShadingPoint, visibility: &[Visibility]) -> Vec3 {
-        let mut irradiance = self.ambient;
+        self.ambient + self.irradiance_by(point, visibility.iter().enumerate())
+    }
+
+    /// Irradiance at a point that sees these parts of the groups.
+    pub fn irradiance_of_shares(&self, point: &ShadingPoint, shares: &[Option<f32>]) -> Vec3 {
+        let seen = |(g, share): (usize, &Option<f32>)| Some((g, Visibility::Fraction((*share)?)));
+        let seen = shares.iter().enumerate().filter_map(seen);
+        self.ambient + self.irradiance_by(point, seen)
+    }
+
+    /// Irradiance at a point by some groups, given their visibilities, without the ambient part.
+    pub(super) fn irradiance_by<V: Borrow<Visibility>>(
+        &self,
+        point: &ShadingPoint,
+        visibility: impl Iterator<Item = (usize, V)>,
+    ) -> Vec3 {
+        let mut irradiance = Vec3::ZERO;
         let transmittance = |cos: f32| self.brdf.map_or(1.0, |b| b.diffuse_entry(cos));
-        for (group, seen) in self.groups.iter().zip(visibility) {
+        for (group, seen) in visibility {
+            let (group, seen) = (&self.groups[group], seen.borrow());
             // Distant light that is wholly seen and above the horizon adds up beforehand, as long as the
             // transmittance is the same for all of it.
             let weight = match seen {
@@ -822,6 +885,14 @@ impl<'a> Shader<'a> {
                 add(l, node.flux * (falloff * weight));
             }
         }
+    }
+}
+
+/// Seen part of a group without sharp shadows by so many rays.
+fn fraction(blocked: u32, clear: u32) -> f32 {
+    match blocked + clear {
+        0 => 1.0,
+        rays => clear as f32 / rays as f32,
     }
 }
 

@@ -4,7 +4,7 @@
 //! their centroids where not all around them see the same; between them that is linear. Where the four disagree, and on
 //! larger triangles at a shadow's edge, nothing is said: whoever asks casts rays there.
 
-use glam::Vec2;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::shading::{Shader, ShadingPoint, Visibility};
@@ -23,6 +23,10 @@ const MAX_BEND: f32 = 0.12;
 /// Triangles of at most this many texels are taken as all lit or all dark where they are so at their corners, at those
 /// of the triangles around, in the middles of their edges and in the centre.
 const LARGE_TRIANGLE: u32 = 256;
+/// Light without sharp shadows is taken as linear between the corners also where no edge is longer than this part of the mesh's size …
+const FINE_EDGE: f32 = 0.01;
+/// … and so is its irradiance, where the normals' cosine is above this: within 0.8 % of one light's.
+const FLAT_COS: f32 = 0.97;
 
 /// Seen part of a lamp at a triangle's corners, if it is linear between them.
 pub(super) type Shares = Option<[f32; 3]>;
@@ -38,8 +42,43 @@ pub(super) fn texels_of_triangles(mesh: &Mesh, atlas: &Atlas) -> Vec<u32> {
 
 /// For every triangle and each lamp what its corners see of it.
 pub struct TriangleShares {
-    /// Nothing for triangles that are too large to tell.
+    /// Nothing for triangles that are too large to tell; of fine ones the lamps with sharp shadows alone, of others all, sharp
+    /// ones first.
     triangles: Vec<Option<Vec<Shares>>>,
+    /// Triangles over which all is linear but what sharp shadows hide.
+    fine: Vec<bool>,
+    /// Place of each lamp in a list.
+    places: Vec<usize>,
+    /// Lamps with sharp shadows, and all lamps.
+    sharp: Vec<usize>,
+    all: Vec<usize>,
+    /// What is seen from the vertices.
+    vertices: Vec<AtVertex>,
+    /// The vertices of each triangle.
+    corners: Vec<[u32; 3]>,
+}
+
+/// What a vertex sees of the light.
+#[derive(Default)]
+struct AtVertex {
+    normal: Vec3,
+    /// Seen part of each lamp, nothing of those below; empty where nobody asks.
+    shares: Vec<Option<f32>>,
+    /// Irradiance by all lamps without sharp shadows.
+    soft: Vec3,
+}
+
+impl AtVertex {
+    fn new(mesh: &Mesh, vertex: usize, shader: &Shader, soft: &[usize]) -> Self {
+        let point = ShadingPoint::smooth(mesh.positions[vertex], mesh.normals[vertex]);
+        let shares = shader.seen_shares(&point);
+        let seen = |&g: &usize| Some((g, Visibility::Fraction(shares[g]?)));
+        Self {
+            normal: point.normal,
+            soft: shader.irradiance_by(&point, soft.iter().filter_map(seen)),
+            shares,
+        }
+    }
 }
 
 impl TriangleShares {
@@ -47,69 +86,75 @@ impl TriangleShares {
     pub fn new(mesh: &Mesh, atlas: &Atlas, shader: &Shader) -> Self {
         let texels = texels_of_triangles(mesh, atlas);
         let tells = |t: usize| texels[t] <= LARGE_TRIANGLE;
+        let longest = FINE_EDGE * mesh.diagonal();
+        let is_fine = |t: usize| {
+            texels[t] <= SMALL_TRIANGLE || {
+                let [a, b, c] = mesh.corners(t as u32);
+                a.distance(b).max(b.distance(c)).max(c.distance(a)) <= longest
+            }
+        };
+        let fine: Vec<bool> = (0..mesh.triangles.len()).map(is_fine).collect();
         let mut needed = vec![false; mesh.positions.len()];
         for (t, triangle) in mesh.triangles.iter().enumerate() {
             for &v in triangle {
-                needed[v as usize] |= tells(t);
+                needed[v as usize] |= tells(t) || fine[t];
             }
         }
-        let groups = shader.groups();
-        let shares = |point: &ShadingPoint| -> Vec<Option<f32>> {
-            (0..groups).map(|g| shader.seen_share(point, g)).collect()
-        };
-        let corners: Vec<Vec<Option<f32>>> = (0..mesh.positions.len())
+        let (sharp, soft): (Vec<usize>, Vec<usize>) =
+            (0..shader.groups()).partition(|&g| shader.is_sharp(g));
+        let vertices: Vec<AtVertex> = (0..mesh.positions.len())
             .into_par_iter()
-            .map(|v| {
-                let normal = mesh.normals[v];
-                let point = ShadingPoint::smooth(mesh.positions[v], normal);
-                if needed[v] {
-                    shares(&point)
-                } else {
-                    Vec::new()
-                }
+            .map(|v| match needed[v] {
+                true => AtVertex::new(mesh, v, shader, &soft),
+                false => AtVertex::default(),
             })
             .collect();
-        let plain = plain_surroundings(mesh, &corners, groups);
+        let plain = plain_surroundings(mesh, &vertices, &sharp);
+        let looks = Looks {
+            mesh,
+            shader,
+            vertices: &vertices,
+        };
         let triangles = (0..mesh.triangles.len())
             .into_par_iter()
             .map(|t| {
-                tells(t).then(|| {
-                    let triangle = mesh.triangles[t];
-                    let at_corners = |g: usize| triangle.map(|v| corners[v as usize][g]);
-                    let seen = |group: usize, at: Vec2| {
-                        shader.seen_share(&ShadingPoint::on(mesh, t as u32, at), group)
-                    };
-                    let centroid = Vec2::splat(1.0 / 3.0);
-                    (0..groups)
-                        .map(|g| {
-                            let smooth = !shader.is_sharp(g) && texels[t] <= SMALL_TRIANGLE;
-                            if smooth || texels[t] <= TINY_TRIANGLE {
-                                return Some(linear_alone(at_corners(g)));
-                            }
-                            let same = triangle.map(|v| plain[v as usize * groups + g]);
-                            let agreed =
-                                same[0].filter(|_| same[1] == same[0] && same[2] == same[0]);
-                            if texels[t] <= SMALL_TRIANGLE {
-                                return match agreed {
-                                    Some(share) => Some([share; 3]),
-                                    None => linear(at_corners(g), seen(g, centroid)),
-                                };
-                            }
-                            let inside = [centroid, Vec2::X * 0.5, Vec2::Y * 0.5, Vec2::splat(0.5)];
-                            agreed
-                                .filter(|_| inside.iter().all(|&at| seen(g, at) == agreed))
-                                .map(|share| [share; 3])
-                        })
-                        .collect()
-                })
+                if !tells(t) {
+                    return None;
+                }
+                let of_sharp = sharp.iter().enumerate().map(|(place, &g)| {
+                    let same = mesh.triangles[t].map(|v| plain[v as usize * sharp.len() + place]);
+                    looks.shares(t, g, texels[t], agreed(same))
+                });
+                let of_soft = soft.iter().filter(|_| !fine[t]).map(|&g| {
+                    let seen = looks.at_corners(t, g);
+                    looks.shares(t, g, texels[t], agreed(seen.map(|s| s.filter(is_plain))))
+                });
+                Some(of_sharp.chain(of_soft).collect())
             })
             .collect();
-        Self { triangles }
+        let mut places = vec![0; shader.groups()];
+        for (place, &group) in sharp.iter().chain(&soft).enumerate() {
+            places[group] = place;
+        }
+        Self {
+            triangles,
+            fine,
+            places,
+            sharp,
+            all: (0..shader.groups()).collect(),
+            vertices,
+            corners: mesh.triangles.clone(),
+        }
     }
 
-    /// Whether a triangle tells of every lamp, and what there is to tell.
-    pub(super) fn of(&self, triangle: u32) -> Option<&[Shares]> {
-        self.triangles[triangle as usize].as_deref()
+    /// What a triangle's corners see of a lamp, where it tells.
+    pub(super) fn of(&self, triangle: u32, group: usize) -> Shares {
+        let place = self.places[group];
+        if self.fine[triangle as usize] && place >= self.sharp.len() {
+            let seen = |v: u32| self.vertices[v as usize].shares[group];
+            return Some(linear_alone(self.corners[triangle as usize].map(seen)));
+        }
+        self.triangles[triangle as usize].as_deref()?[place]
     }
 
     /// What a point of a triangle sees of a lamp, where its triangle tells.
@@ -119,30 +164,89 @@ impl TriangleShares {
         barycentric: Vec2,
         group: usize,
     ) -> Option<Visibility> {
-        let shares = self.of(triangle)?[group]?;
+        let shares = self.of(triangle, group)?;
         Some(match between(shares, barycentric) {
             0.0 => Visibility::Hidden,
             1.0 => Visibility::Whole,
             share => Visibility::Fraction(share),
         })
     }
+
+    /// Irradiance at a point of a triangle by lamps that need no look at it, and those that are left: all but the ones with
+    /// sharp shadows are told by its corners where it is fine and hardly bent.
+    pub(super) fn beforehand(&self, triangle: u32, barycentric: Vec2) -> (Vec3, &[usize]) {
+        let corners = self.corners[triangle as usize].map(|v| &self.vertices[v as usize]);
+        let [a, b, c] = corners.map(|at| at.normal);
+        let is_flat = a.dot(b).min(b.dot(c)).min(c.dot(a)) >= FLAT_COS;
+        if !is_flat || !self.fine[triangle as usize] {
+            return (Vec3::ZERO, &self.all);
+        }
+        let [a, b, c] = corners.map(|at| at.soft);
+        let soft = a + barycentric.x * (b - a) + barycentric.y * (c - a);
+        (soft.max(Vec3::ZERO), &self.sharp)
+    }
 }
 
-/// For every vertex and each lamp: 0 or 1 where it and all vertices around it see none or all of the lamp.
-fn plain_surroundings(mesh: &Mesh, shares: &[Vec<Option<f32>>], groups: usize) -> Vec<Option<f32>> {
-    let mut plain: Vec<Option<f32>> = (0..mesh.positions.len() * groups)
-        .map(|i| {
-            let share = shares[i / groups].get(i % groups).copied().flatten();
-            share.filter(|&s| s == 0.0 || s == 1.0)
-        })
+/// What triangles are looked at with.
+struct Looks<'a> {
+    mesh: &'a Mesh,
+    shader: &'a Shader<'a>,
+    vertices: &'a [AtVertex],
+}
+
+impl Looks<'_> {
+    fn at_corners(&self, triangle: usize, group: usize) -> [Option<f32>; 3] {
+        self.mesh.triangles[triangle].map(|v| self.vertices[v as usize].shares[group])
+    }
+
+    /// What a triangle of so many texels sees of a lamp; `agreed` is what all about its corners see of it, if that is the same.
+    fn shares(&self, triangle: usize, group: usize, texels: u32, agreed: Option<f32>) -> Shares {
+        if texels <= TINY_TRIANGLE {
+            return Some(linear_alone(self.at_corners(triangle, group)));
+        }
+        let seen = |at: Vec2| {
+            let point = ShadingPoint::on(self.mesh, triangle as u32, at);
+            self.shader.seen_share(&point, group)
+        };
+        let centroid = Vec2::splat(1.0 / 3.0);
+        if texels <= SMALL_TRIANGLE {
+            return match agreed {
+                Some(share) => Some([share; 3]),
+                None => linear(self.at_corners(triangle, group), seen(centroid)),
+            };
+        }
+        let inside = [centroid, Vec2::X * 0.5, Vec2::Y * 0.5, Vec2::splat(0.5)];
+        agreed
+            .filter(|_| inside.iter().all(|&at| seen(at) == agreed))
+            .map(|share| [share; 3])
+    }
+}
+
+/// Whether all or nothing is seen of a lamp.
+fn is_plain(share: &f32) -> bool {
+    *share == 0.0 || *share == 1.0
+}
+
+/// What all three say.
+fn agreed([a, b, c]: [Option<f32>; 3]) -> Option<f32> {
+    a.filter(|_| a == b && a == c)
+}
+
+/// For every vertex and each of some lamps: 0 or 1 where it and all vertices around it see none or all of the lamp.
+fn plain_surroundings(mesh: &Mesh, vertices: &[AtVertex], groups: &[usize]) -> Vec<Option<f32>> {
+    let share = |v: usize, place: usize| -> Option<f32> {
+        *vertices[v].shares.get(groups[place]).unwrap_or(&None)
+    };
+    let count = groups.len();
+    let mut plain: Vec<Option<f32>> = (0..mesh.positions.len() * count)
+        .map(|i| share(i / count, i % count).filter(is_plain))
         .collect();
     for triangle in &mesh.triangles {
-        for g in 0..groups {
-            let at = |v: u32| shares[v as usize].get(g).copied().flatten();
-            let [a, b, c] = triangle.map(at);
+        for place in 0..count {
+            let [a, b, c] = triangle.map(|v| share(v as usize, place));
             if a != b || b != c {
                 for &v in triangle {
-                    plain[v as usize * groups + g] = None;
+                    plain[v as usize * count + place] = None;
                 }
             }
         }

@@ -389,22 +389,16 @@ fn seen_part(surface: &Surface, shader: &Shader, direct: &[Vec3]) -> Vec<u8> {
 /// Per vertex and group the seen part, and every vertex's irradiance.
 fn at_vertices(surface: &Surface, shader: &Shader) -> (Vec<u8>, Vec<Vec3>) {
     let mesh = &surface.solution.mesh;
-    let groups = shader.groups();
     let found: Vec<(Vec<u8>, Vec3)> = (0..mesh.positions.len())
         .into_par_iter()
         .map(|v| {
             let point = ShadingPoint::smooth(mesh.positions[v], mesh.normals[v]);
-            let seen: Vec<Visibility> = (0..groups)
-                .map(|group| shader.cast(&point, group))
-                .collect();
+            let shares = shader.seen_shares(&point);
             // A group below the horizon lights no neighbour that would ask.
-            let part = |(group, seen): (usize, &Visibility)| match seen {
-                Visibility::Below => 255,
-                seen => to_byte(seen.share(shader.nodes(group))),
-            };
+            let part = |share: &Option<f32>| share.map_or(255, to_byte);
             (
-                seen.iter().enumerate().map(part).collect(),
-                shader.irradiance(&point, &seen),
+                shares.iter().map(part).collect(),
+                shader.irradiance_of_shares(&point, &shares),
             )
         })
         .collect();
