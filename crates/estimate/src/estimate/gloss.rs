@@ -355,22 +355,21 @@ fn refined(lit: &Lit<'_>, parts: &[usize], kinds: &[Kind]) -> Vec<Gloss> {
 }
 
 impl Lit<'_> {
-    /// What the views of a point that count say of its gloss, its diffuse colour being what those that are told say.
+    /// What the views of a point that are told say of its gloss, and what the others do, its diffuse colour being what the former say.
     fn evidence(
         &self,
         point: &Point,
         measured: &[[f32; 3]],
         shown: &[(Brdf, Vec<[f32; 3]>)],
-        counts: impl Fn(usize) -> bool,
         is_told: impl Fn(usize) -> bool,
-    ) -> Evidence {
+    ) -> [Evidence; 2] {
         let own = point.rows.clone();
         let rows = &self.design.observations.rows[own.clone()];
         let weights = &self.weights[own.clone()];
         let telling: Vec<f32> = (rows.iter().zip(weights))
             .map(|(row, &weight)| if is_told(row.view) { weight } else { 0.0 })
             .collect();
-        let mut evidence = Evidence::none();
+        let mut evidence = [Evidence::none(), Evidence::none()];
         if telling.iter().all(|&weight| weight == 0.0) {
             return evidence;
         }
@@ -379,20 +378,19 @@ impl Lit<'_> {
             eliminate(brdf, rows, &telling, &mut values);
             values
         };
-        let counted: Vec<(usize, f64)> = (rows.iter().zip(weights).enumerate())
-            .filter(|(_, (row, _))| counts(row.view))
-            .map(|(k, (_, &weight))| (k, f64::from(weight)))
+        let counted: Vec<(usize, f64)> = (rows.iter().zip(weights))
+            .map(|(row, &weight)| (usize::from(!is_told(row.view)), f64::from(weight)))
             .collect();
         let measured = eliminated(&self.brdf, measured);
-        for &(k, weight) in &counted {
-            evidence.all += weight * f64::from(measured[k][0]).powi(2);
+        for (k, &(of, weight)) in counted.iter().enumerate() {
+            evidence[of].all += weight * f64::from(measured[k][0]).powi(2);
         }
         for (at, (brdf, shown)) in shown.iter().enumerate() {
             let shown = eliminated(brdf, shown);
-            for &(k, weight) in &counted {
+            for (k, &(of, weight)) in counted.iter().enumerate() {
                 let a = f64::from(shown[k][0]);
-                evidence.with[at] += weight * a * f64::from(measured[k][0]);
-                evidence.of[at] += weight * a * a;
+                evidence[of].with[at] += weight * a * f64::from(measured[k][0]);
+                evidence[of].of[at] += weight * a * a;
             }
         }
         evidence
@@ -409,22 +407,16 @@ impl Board {
             let brdf = Brdf::new(lit.brdf.model, roughness * lit.brdf.sigma);
             (brdf, lit.design.predict_values(&brdf, &lit.radiance))
         });
-        let of = |counts: &(dyn Fn(usize) -> bool + Sync),
-                  is_told: &(dyn Fn(usize) -> bool + Sync)| {
+        let fold = |turn: usize| -> Fold {
             let points = observations.points.par_iter();
-            let evidence =
-                points.map(|point| lit.evidence(point, &measured, &shown, counts, is_told));
-            evidence.collect::<Vec<_>>()
+            let is_told = |view: usize| view % turns != turn;
+            let of_point = |point| lit.evidence(point, &measured, &shown, is_told).into();
+            let (told, judging) = points.map(of_point).unzip();
+            Fold { told, judging }
         };
-        let fold = |turn: usize| {
-            let is_out = |view: usize| view % turns == turn;
-            Fold {
-                told: of(&|view| !is_out(view), &|view| !is_out(view)),
-                judging: of(&is_out, &|view| !is_out(view)),
-            }
-        };
+        // In a turn that leaves none out, all are told.
+        let Fold { told: evidence, .. } = fold(turns);
         let folds = (0..turns).map(fold).collect();
-        let evidence = of(&|_| true, &|_| true);
         let shown = lit.design.predict_values(&lit.brdf, &lit.radiance);
         let colours = log_diffuse(observations, &lit.brdf, &lit.weights, &shown);
         let (bonds, contrast) = bonds(observations, &colours);
@@ -495,9 +487,9 @@ impl Board {
                     .map(|left| left.min(OUTLIER * self.unit))
                     .collect()
             };
-            self.folds.iter().flat_map(of_fold).collect()
+            self.folds.par_iter().flat_map(of_fold).collect()
         };
-        let (fewer, more) = (left(fewer), left(more));
+        let (fewer, more) = rayon::join(|| left(fewer), || left(more));
         let ratio = more.iter().sum::<f64>() / fewer.iter().sum::<f64>();
         ratio < worth && signed_ranks(&fewer, &more) > SURE
     }

@@ -135,11 +135,14 @@ impl Solver<'_> {
             return Ok(None);
         };
         let mut best: Option<Suspicion> = None;
-        for change in self.changes(&models, [&decoded, &encoded]) {
-            let most = HOPELESS * own.total();
-            let Some(trial) = self.trial(&change, fit.brdf.sigma, most)? else {
-                continue;
-            };
+        let changes = self.changes(&models, [&decoded, &encoded]);
+        let most = HOPELESS * own.total();
+        let trials = changes
+            .par_iter()
+            .map(|change| self.trial(change, fit.brdf.sigma, most));
+        let trials: Result<Vec<Option<Trial>>, Stopped> = trials.collect();
+        for (change, trial) in changes.iter().zip(trials?) {
+            let Some(trial) = trial else { continue };
             let leaves = trial.total() / own.total();
             let less = leaves < best.map_or(1.0, |b| b.leaves);
             if less && signed_ranks(&own.left, &trial.left) > SURE {
@@ -162,18 +165,23 @@ impl Solver<'_> {
         if views < FEWEST_VIEWS {
             return Ok(None);
         }
-        let mut without = Vec::with_capacity(views);
-        for view in 0..views {
+        let without = |view: usize| {
             let (observations, rows) = self.coarse.without_views(|other| other == view);
             let change = Change {
                 observations: &observations,
                 ..*stated
             };
-            let Some(state) = self.fitted(&change, fit.brdf.sigma, f64::INFINITY)? else {
-                return Ok(None);
-            };
-            without.push((self.left_in_rows(&state, &rows), state.brdf.sigma));
-        }
+            let state = self.fitted(&change, fit.brdf.sigma, f64::INFINITY)?;
+            Ok(state.map(|state| (self.left_in_rows(&state, &rows), state.brdf.sigma)))
+        };
+        let without: Result<Option<Vec<_>>, Stopped> = (0..views)
+            .into_par_iter()
+            .map(without)
+            .collect::<Result<Vec<_>, _>>()
+            .map(|all| all.into_iter().collect());
+        let Some(without) = without? else {
+            return Ok(None);
+        };
         // What is left in the rows of third views is compared.
         let third = |one: usize, other: usize, left: &[f64]| -> Vec<f64> {
             let points = self.coarse.points.iter();
