@@ -20,9 +20,7 @@ use rekindle_estimate::estimate::{
     Stopped, bears_out, estimate, estimate_under, stands_with_camera, watched,
 };
 use rekindle_estimate::preflight::misplacements;
-use rekindle_estimate::registration::{
-    Correction, Registration, corrected, describe, register, within_outlines,
-};
+use rekindle_estimate::registration::{Correction, corrected, describe, register, within_outlines};
 use rekindle_relight::{
     Albedo, Ambient, DiffuseTexture, GlossMap, Interreflection, LightOfViews, Lighting, Scene,
     Shader, Surroundings, ViewFit, ViewLight, filled_albedo, light_texture, reconstruct, separate,
@@ -569,11 +567,7 @@ impl Measured {
         (grid, params): (&HemisphereGrid, &EstimateParams),
         observer: &mut dyn Observer,
     ) -> Result<(Cow<'c, Capture>, Vec<Correction>), Stopped> {
-        let found = register(&stated.mesh, &stated.views, &self.surfaces, &self.occluder);
-        let Registration {
-            mut corrections,
-            is_doubted,
-        } = found;
+        let mut corrections = register(&stated.mesh, &stated.views, &self.surfaces, &self.occluder);
         let mut capture = corrected(stated, &corrections);
         if corrections.iter().any(Correction::turns) {
             self.surfaces = see(
@@ -588,7 +582,7 @@ impl Measured {
             // What differs between views is the light on them.
             corrections = corrections.iter().map(|c| c.of_camera()).collect();
             capture = corrected(stated, &corrections);
-        } else if is_doubted {
+        } else if corrections.iter().any(Correction::scales) {
             let of_cameras: Vec<Correction> = corrections.iter().map(|c| c.of_camera()).collect();
             let as_exposed = corrected(stated, &of_cameras);
             report(observer, EXPOSURES)?;

@@ -69,26 +69,12 @@ fn is_less(values: impl Iterator<Item = (f64, f64, f64)>) -> f64 {
 /// What the lobe of a state on its cells leaves at each of many points in views that had no say, in standard deviations of noise, at
 /// the price of light that leaves least.
 pub fn left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<Left> {
-    left_out_in(solver, fit, |design| in_noise(design, common_noise(design)))
-}
-
-/// The same with gray lights, as parts of the mean radiance of each point: so it means the same where photographs differ by factors.
-pub fn relatively_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<f64> {
-    let left = left_out_in(solver, fit, in_radiance);
-    left.iter().map(|left| left.lit).collect()
-}
-
-/// The same in units that some rows have.
-fn left_out_in(
-    solver: &Solver<'_>,
-    fit: &State<'_>,
-    units: impl Fn(&Design<'_>) -> Vec<f32>,
-) -> Vec<Left> {
     let turns = solver.seen.views.len().min(MOST_TURNS);
     let points = solver.colours(POINTS).to_gray();
     // What the object mirrors of itself is no light: it is where none comes past it.
     let design = solver.shadowed_design(&points, &fit.cells, &fit.brdf);
-    of_turns(&design, fit, &units(&design), turns)
+    let units = in_noise(&design, common_noise(&design));
+    of_turns(&design, fit, &units, turns)
 }
 
 /// What the lobe of a state on its cells leaves at each point of a design, summed over turns in each of which some of the views have no
@@ -202,6 +188,14 @@ pub fn roughly_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<(Vec3, f64)
     let share = |left: Left| left.lit / dark.max(f64::MIN_POSITIVE);
     let points = solver.coarse.points.iter().map(|point| point.position);
     points.zip(left.into_iter().map(share)).collect()
+}
+
+/// What the lobe of a coarse fit leaves in such views as parts of the mean radiance of each of its points: so it means the same where
+/// photographs differ by factors. Without shadows.
+pub fn relatively_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<f64> {
+    let design = solver.design(&solver.coarse, &fit.cells);
+    let left = of_turns(&design, fit, &in_radiance(&design), ROUGH_TURNS);
+    left.iter().map(|left| left.lit).collect()
 }
 
 /// Noise of the rows of a design without lights and gloss, which all explanations have in common: their own would favour those that

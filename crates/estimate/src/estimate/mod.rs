@@ -302,7 +302,13 @@ fn left_of_views(
         iterations: &mut Vec::new(),
         observer: &mut Unobserved,
     };
-    let (fit, _) = course::choose(&solver, params.specular, &SpecularModel::ALL, &mut watch)?;
+    // Any lobe will do to see whether views agree on lights.
+    let model = match params.specular {
+        SpecularChoice::Model(model) => model,
+        SpecularChoice::Auto => SpecularModel::Paper,
+    };
+    let mut fit = solver.compare_sigmas(model, None, &mut watch)?;
+    solver.improve_coarse(&mut fit, &mut watch)?;
     let left = relatively_left_out(&solver, &fit.state);
     if stop.load(Ordering::Relaxed) {
         return Err(Stopped);

@@ -43,10 +43,6 @@ const LEAST_RATIO: f64 = 1.025;
 /// And unless, with the exposures evened out, the views disagree by this part at most.
 const MOST_LEFT: f64 = 0.7;
 
-/// A surface that isn't polished leaves views this far apart at most, once exposures are evened out: 3 % on scanned meshes, 9 % on a
-/// visual hull under broad light. Metals leave 25 % and more, as views mirror different things.
-const MOST_OF_MATTE: f64 = 0.15;
-
 /// Corrections of less than this, in percent, are not worth a word.
 const LEAST_SAID: f64 = 0.5;
 
@@ -165,21 +161,14 @@ pub fn evened<'a>(capture: &'a Capture, exposures: &[f64]) -> Cow<'a, Capture> {
     corrected(capture, &exposures.iter().map(of).collect::<Vec<_>>())
 }
 
-/// What has to be corrected.
-pub struct Registration {
-    /// One a view.
-    pub corrections: Vec<Correction>,
-    /// Whether exposures that differ may as well be a polished surface: then lights have to bear them out.
-    pub is_doubted: bool,
-}
-
-/// Finds what has to be corrected; `surfaces` are what the stated cameras see.
+/// Finds what has to be corrected, one a view; `surfaces` are what the stated cameras see. Exposures that differ may as well be what a
+/// glossy surface mirrors: lights have to bear them out.
 pub fn register(
     mesh: &Mesh,
     views: &[View],
     surfaces: &[ViewSurface],
     occluder: &Occluder,
-) -> Registration {
+) -> Vec<Correction> {
     let before = Agreement::new(mesh, views, surfaces, POINTS);
     let mut corrections = vec![Correction::default(); views.len()];
     let mut agreement = &before;
@@ -191,22 +180,17 @@ pub fn register(
         agreement = after;
     }
     let differ = |gain: &f64| gain.ln().abs() > LEAST_RATIO.ln();
-    let mut is_doubted = false;
     if let Some(gains) = agreement.gains()
         && gains.as_flattened().iter().any(differ)
     {
         let left = agreement.evened(&gains).disagreement();
         if left < MOST_LEFT * agreement.disagreement() {
-            is_doubted = left > MOST_OF_MATTE;
             for (correction, gains) in corrections.iter_mut().zip(gains) {
                 correction.set_gains(gains);
             }
         }
     }
-    Registration {
-        corrections,
-        is_doubted,
-    }
+    corrections
 }
 
 /// Turns of the cameras, degrees about world axes, with how the views agree after them; `None` if all stay where they are.
