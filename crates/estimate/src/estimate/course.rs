@@ -247,9 +247,15 @@ fn on_refined(
     let before = placed(&coarse.state);
     let on_mesh = solver;
     with_coarse_fit(&refined, choice, watch, |solver, start, watch| {
-        let z = placed_signed_ranks(&before, &placed(&start.coarse.state));
+        let after = placed(&start.coarse.state);
+        let z = placed_signed_ranks(&before, &after);
+        let [left_before, left_after] =
+            [&before, &after].map(|left| left.iter().map(|l| l.1).sum::<f64>());
         // Turned normals can stand for much else that is wrong: what has a name goes before them unless they are sure.
-        if z <= CHANCE || (z <= SURE && has_named_cause(on_mesh, coarse)?) {
+        if left_after >= left_before
+            || z <= CHANCE
+            || (z <= SURE && has_named_cause(on_mesh, coarse)?)
+        {
             return Ok(None);
         }
         with_parts(solver, start, choice, watch, |solver, start, watch| {
