@@ -35,43 +35,57 @@ pub fn weighted_signed_ranks(weights: &[f64], first: &[f64], second: &[f64]) -> 
     ranked(differences)
 }
 
-/// The same of values at places, those of `second` at others: between parts of space that hold as many values of `first` each.
+/// The same of values at places, none negative, those of `second` at others: between parts of space that hold as much of both together
+/// each, so that where there is more to tell there are more of them.
 pub fn placed_signed_ranks(first: &[(Vec3, f64)], second: &[(Vec3, f64)]) -> f64 {
     let mut differences = Vec::with_capacity(GROUPS);
-    compare(first.to_vec(), second.to_vec(), GROUPS, &mut differences);
+    let of = |values: &[(Vec3, f64)], is_first| -> Vec<Placed> {
+        let placed = |&(place, value): &(Vec3, f64)| Placed {
+            place,
+            value,
+            is_first,
+        };
+        values.iter().map(placed).collect()
+    };
+    let mut both = of(first, true);
+    both.extend(of(second, false));
+    compare(&mut both, GROUPS, &mut differences);
     ranked(differences)
 }
 
-/// Cuts space in two where half of the values of `first` lie on each side, across their longest extent, until there are so many parts, and
-/// adds by how much the mean of `first` is more than that of `second` in each that has values of both.
-fn compare(
-    mut first: Vec<(Vec3, f64)>,
-    mut second: Vec<(Vec3, f64)>,
-    parts: usize,
-    differences: &mut Vec<f64>,
-) {
-    if first.is_empty() || second.is_empty() {
-        return;
-    }
+/// A value of one of two sets.
+struct Placed {
+    place: Vec3,
+    value: f64,
+    is_first: bool,
+}
+
+/// Cuts space in two where half of all values lies on each side, across the longest extent, until there are so many parts, and adds by how
+/// much there is more of the first set than of the second in each, were they equally many there.
+fn compare(both: &mut [Placed], parts: usize, differences: &mut Vec<f64>) {
     if parts == 1 {
-        let mean = |of: &[(Vec3, f64)]| of.iter().map(|(_, v)| v).sum::<f64>() / of.len() as f64;
-        differences.push(mean(&first) - mean(&second));
+        let mean = |of: bool| {
+            let own = || both.iter().filter(|p| p.is_first == of);
+            own().map(|p| p.value).sum::<f64>() / own().count() as f64
+        };
+        let difference = (mean(true) - mean(false)) * both.len() as f64;
+        // Nothing is compared where there is only one of them.
+        differences.extend(difference.is_finite().then_some(difference));
         return;
     }
-    let low = first.iter().fold(Vec3::MAX, |m, (p, _)| m.min(*p));
-    let high = first.iter().fold(Vec3::MIN, |m, (p, _)| m.max(*p));
+    let low = both.iter().fold(Vec3::MAX, |m, p| m.min(p.place));
+    let high = both.iter().fold(Vec3::MIN, |m, p| m.max(p.place));
     let axis = (high - low).max_position();
-    let cut = |values: &mut Vec<(Vec3, f64)>, at: Option<f32>| {
-        values.sort_by(|a, b| a.0[axis].total_cmp(&b.0[axis]));
-        let here = at.map_or(values.len() / 2, |at| {
-            values.partition_point(|(p, _)| p[axis] < at)
-        });
-        values.split_off(here)
-    };
-    let beyond = cut(&mut first, None);
-    let second_beyond = cut(&mut second, beyond.first().map(|(p, _)| p[axis]));
-    compare(first, second, parts / 2, differences);
-    compare(beyond, second_beyond, parts / 2, differences);
+    both.sort_by(|a, b| a.place[axis].total_cmp(&b.place[axis]));
+    let half = 0.5 * both.iter().map(|p| p.value).sum::<f64>();
+    let mut before = 0.0;
+    let cut = both.iter().position(|p| {
+        before += p.value;
+        before > half
+    });
+    let (one, other) = both.split_at_mut(cut.unwrap_or(both.len() / 2));
+    compare(one, parts / 2, differences);
+    compare(other, parts / 2, differences);
 }
 
 /// By how many standard deviations of chance some differences are positive.
@@ -122,6 +136,28 @@ mod tests {
         let same: Vec<(Vec3, f64)> = (2000..2700).map(|i| (at(i), field(at(i)))).collect();
         assert!(placed_signed_ranks(&first, &same).abs() < 2.5);
         assert_eq!(placed_signed_ranks(&first, &[]), 0.0);
+    }
+
+    #[test]
+    fn a_difference_in_one_corner_where_most_is_left_is_seen() {
+        let at = |i: usize| {
+            let turn = i as f32 * 2.4;
+            Vec3::new(turn.cos(), turn.sin(), (i as f32 * 0.37).sin())
+        };
+        let noise = |i: usize| 1.0 + 0.9 * (i as f64 * 12.9898).sin();
+        let shines = |p: Vec3| p.x > 0.8 && p.z > 0.0;
+        let of = |from: usize, left: f64| -> Vec<(Vec3, f64)> {
+            let value = |i| noise(i) * if shines(at(i)) { left } else { 1.0 };
+            (from..from + 1500).map(|i| (at(i), value(i))).collect()
+        };
+        let (much, less) = (of(0, 30.0), of(5000, 15.0));
+        assert!(placed_signed_ranks(&much, &less) > SURE);
+        assert!(placed_signed_ranks(&less, &much) < -SURE);
+        // Chance is not taken for more in whichever comes first.
+        let sum: f64 = (1..40)
+            .map(|k| placed_signed_ranks(&of(0, 30.0), &of(5000 * k, 30.0)))
+            .sum();
+        assert!((sum / 39.0).abs() < 0.5, "{sum}");
     }
 
     #[test]
