@@ -5,14 +5,13 @@ use super::SpecularChoice;
 use super::below::{AllAround, is_lit_from_below};
 use super::fast::{CoarseFit, Fit, Solver, Watch};
 use super::gloss;
-use super::held_out::{CHANCE, predicts_better, shows_gloss};
+use super::held_out::{CHANCE, predicts_better, roughly_left_out, shows_gloss};
 use super::observations::Seen;
 use super::observer::{Interim, Stopped, go_on};
 use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::state::{ROUGH, State};
 use super::suspects::{Suspect, Suspicion, left};
 use super::{diagnose, exposures};
-use glam::Vec3;
 use rekindle_base::math::ranks::{SURE, placed_signed_ranks, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
@@ -230,8 +229,8 @@ fn on_parts(
     end(&parted, &start.coarse, start.because, choice, watch).map(Some)
 }
 
-/// The end on a refined surface, if there is one that explains more than `coarse`, the coarse fit on the solver's own surface,
-/// beyond chance.
+/// The end on a refined surface, if views left out are explained better there than on the solver's own, whose fit is `coarse`, beyond
+/// chance.
 fn on_refined(
     solver: &Solver<'_>,
     coarse: &CoarseFit<'_>,
@@ -244,10 +243,10 @@ fn on_refined(
     let mesh = relief.mesh();
     let bench = Bench::new(&mesh, solver.seen.views);
     let refined = bench.solver(solver, &mesh);
-    let before = placed(&coarse.state);
+    let before = roughly_left_out(solver, &coarse.state);
     let on_mesh = solver;
     with_coarse_fit(&refined, choice, watch, |solver, start, watch| {
-        let after = placed(&start.coarse.state);
+        let after = roughly_left_out(solver, &start.coarse.state);
         let z = placed_signed_ranks(&before, &after);
         let [left_before, left_after] =
             [&before, &after].map(|left| left.iter().map(|l| l.1).sum::<f64>());
@@ -304,15 +303,6 @@ fn on_relief(
     }
     let ending = end(solver, &coarse, because, choice, watch)?;
     Ok(on(solver, ending))
-}
-
-/// What a coarse fit leaves at each of its points, see [`left`], and where these are.
-fn placed(state: &State<'_>) -> Vec<(Vec3, f64)> {
-    let points = state.design.observations.points.iter();
-    points
-        .map(|point| point.position)
-        .zip(left(state))
-        .collect()
 }
 
 /// Goes on from a coarse fit, chosen `because`, to the end: with the middle of the roughnesses that the views allow where these
