@@ -10,7 +10,7 @@ use super::observations::Seen;
 use super::observer::{Interim, Stopped, go_on};
 use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::state::{ROUGH, State};
-use super::suspects::{Suspect, Suspicion, left};
+use super::suspects::{Suspicion, left};
 use super::{diagnose, exposures};
 use rekindle_base::math::ranks::{SURE, placed_signed_ranks, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
@@ -121,7 +121,7 @@ fn on_mesh(
     if !shown && !is_stated {
         return Ok(Outcome::Nothing(diagnose::NO_SPECULAR.to_owned()));
     }
-    let ending = end(solver, &coarse, because, choice, watch)?;
+    let ending = end(solver, &coarse, because, (choice, Causes::All), watch)?;
     Ok(Outcome::Found(Box::new(Ending {
         is_confirmed: shown,
         ..ending
@@ -226,7 +226,8 @@ fn on_parts(
     let Some(start) = start.filter(|start| is_glossy(&parted, &start.coarse)) else {
         return Ok(None);
     };
-    end(&parted, &start.coarse, start.because, choice, watch).map(Some)
+    let with = (choice, Causes::All);
+    end(&parted, &start.coarse, start.because, with, watch).map(Some)
 }
 
 /// The end on a refined surface, if views left out are explained better there than on the solver's own, whose fit is `coarse`, beyond
@@ -250,10 +251,10 @@ fn on_refined(
         let z = placed_signed_ranks(&before, &after);
         let [left_before, left_after] =
             [&before, &after].map(|left| left.iter().map(|l| l.1).sum::<f64>());
-        // Turned normals can stand for much else that is wrong: what has a name goes before them unless they are sure.
+        // Turned normals can stand for much else that is wrong: what has a name goes before them.
         if left_after >= left_before
             || z <= CHANCE
-            || (z <= SURE && has_named_cause(on_mesh, coarse)?)
+            || on_mesh.contradicted(&coarse.state)?.is_some()
         {
             return Ok(None);
         }
@@ -265,12 +266,6 @@ fn on_refined(
         })
     })
 }
-/// Whether the photographs contradict what is stated of lights or numbers, judged from a coarse fit. One odd view may be one of poor normals.
-fn has_named_cause(solver: &Solver<'_>, coarse: &CoarseFit<'_>) -> Result<bool, Stopped> {
-    let suspicion = solver.suspicion(&coarse.state)?;
-    Ok(suspicion.is_some_and(|found| !matches!(found.suspect, Suspect::View(_))))
-}
-
 /// The end on a surface that stands for that of `original`: `relief`, which the solver is of, moved under the lights found on it if that
 /// leaves less.
 fn on_relief(
@@ -290,6 +285,7 @@ fn on_relief(
     let Start {
         coarse, because, ..
     } = start;
+    let with = (choice, Causes::Views);
     let fit = finish(solver, &coarse.state, watch)?;
     if !watch.observer.enough() && relief.bend(solver, &fit, watch)? {
         let mesh = relief.mesh();
@@ -297,12 +293,21 @@ fn on_relief(
         let bent = bench.solver(solver, &mesh);
         let (again, because) = choose(&bent, choice, &SpecularModel::ALL, watch)?;
         if again.unexplained < coarse.unexplained {
-            let ending = end(&bent, &again, because, choice, watch)?;
+            let ending = end(&bent, &again, because, with, watch)?;
             return Ok(on(&bent, ending));
         }
     }
-    let ending = end(solver, &coarse, because, choice, watch)?;
+    let ending = end(solver, &coarse, because, with, watch)?;
     Ok(on(solver, ending))
+}
+
+/// What a misfit may come of that has a name.
+#[derive(Clone, Copy)]
+enum Causes {
+    /// What is stated of lights and numbers, or a view.
+    All,
+    /// A view: what is stated has been looked at before.
+    Views,
 }
 
 /// Goes on from a coarse fit, chosen `because`, to the end: with the middle of the roughnesses that the views allow where these
@@ -311,7 +316,7 @@ fn end(
     solver: &Solver<'_>,
     coarse: &CoarseFit<'_>,
     because: String,
-    choice: SpecularChoice,
+    (choice, causes): (SpecularChoice, Causes),
     watch: &mut Watch<'_>,
 ) -> Result<Ending, Stopped> {
     let (mut bound, mut because) = (None, because);
@@ -341,10 +346,10 @@ fn end(
         let is_still = solver.seen.turning.is_none();
         let is_middling = is_still && !is_known && diagnose::is_middling(&fit.misfit);
         let is_looked_for = is_middling && !watch.observer.enough();
-        let suspicion = if is_looked_for {
-            solver.suspicion(&coarse.state)?
-        } else {
-            None
+        let suspicion = match causes {
+            _ if !is_looked_for => None,
+            Causes::All => solver.suspicion(&coarse.state)?,
+            Causes::Views => solver.odd_view(&coarse.state)?,
         };
         (fit, suspicion)
     };

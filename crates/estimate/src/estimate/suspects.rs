@@ -118,19 +118,22 @@ pub fn determines_roughness(fit: &State<'_>) -> bool {
 }
 
 impl Solver<'_> {
-    /// What the photographs contradict, if there is anything, looked for from a coarse fit of everything as stated.
+    /// What the photographs contradict, if there is anything: something that is stated, or else a view.
     pub fn suspicion(&self, fit: &State<'_>) -> Result<Option<Suspicion>, Stopped> {
+        match self.contradicted(fit)? {
+            Some(found) => Ok(Some(found)),
+            None => self.odd_view(fit),
+        }
+    }
+
+    /// What is stated of lights or numbers and the photographs contradict, looked for from a coarse fit of everything as stated.
+    pub fn contradicted(&self, fit: &State<'_>) -> Result<Option<Suspicion>, Stopped> {
         let colour = self.coarse_colours();
         let [decoded, encoded] = [DISPLAY_GAMMA, 1.0 / DISPLAY_GAMMA].map(|g| powered(&colour, g));
         // Which lobe fits depends on what the numbers mean and on where the lights are.
         let mut models = SpecularModel::ALL;
         models.sort_by_key(|&model| model != fit.brdf.model);
-        let stated = Change {
-            suspect: Suspect::Distant,
-            observations: &self.coarse,
-            near: self.near,
-            models: &models[..1],
-        };
+        let stated = self.stated(&models[..1]);
         let Some(own) = self.trial(&stated, fit.brdf.sigma, f64::INFINITY)? else {
             return Ok(None);
         };
@@ -153,15 +156,24 @@ impl Solver<'_> {
                 });
             }
         }
-        if best.is_none() {
-            best = self.odd_view(fit, &stated)?;
-        }
         Ok(best)
     }
 
+    /// Everything as stated.
+    fn stated<'a>(&'a self, models: &'a [SpecularModel]) -> Change<'a> {
+        Change {
+            suspect: Suspect::Distant,
+            observations: &self.coarse,
+            near: self.near,
+            models,
+        }
+    }
+
     /// The view without which the others are explained better than without any other, by more than chance.
-    fn odd_view(&self, fit: &State<'_>, stated: &Change<'_>) -> Result<Option<Suspicion>, Stopped> {
+    pub fn odd_view(&self, fit: &State<'_>) -> Result<Option<Suspicion>, Stopped> {
         let views = self.seen.views.len();
+        let models = [fit.brdf.model];
+        let stated = self.stated(&models);
         if views < FEWEST_VIEWS {
             return Ok(None);
         }
@@ -169,7 +181,7 @@ impl Solver<'_> {
             let (observations, rows) = self.coarse.without_views(|other| other == view);
             let change = Change {
                 observations: &observations,
-                ..*stated
+                ..stated
             };
             let state = self.fitted(&change, fit.brdf.sigma, f64::INFINITY)?;
             Ok(state.map(|state| (self.left_in_rows(&state, &rows), state.brdf.sigma)))
@@ -231,9 +243,7 @@ impl Solver<'_> {
     ) -> Vec<Change<'a>> {
         let stated = |suspect| Change {
             suspect,
-            observations: &self.coarse,
-            near: self.near,
-            models,
+            ..self.stated(models)
         };
         let at = |centre, radius| Change {
             near: Some((centre, radius)),
