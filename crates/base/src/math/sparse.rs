@@ -1,6 +1,7 @@
 //! Sparse symmetric positive definite systems, solved by Cholesky factorisation.
 
 use faer::linalg::solvers::Solve;
+use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
 use faer::sparse::{SparseColMat, SymbolicSparseColMat};
 use faer::{Mat, Side};
 
@@ -12,6 +13,13 @@ pub type SparseRow = Vec<(usize, f64)>;
 pub struct LowerEntries {
     /// Row and value of each column's entries, rows ascending.
     columns: Vec<Vec<(usize, f64)>>,
+}
+
+/// In which order a matrix is factorised best: found once for all that have entries at the same places.
+#[derive(Clone, Debug)]
+pub struct Order {
+    places: SymbolicSparseColMat<usize>,
+    factors: SymbolicLlt<usize>,
 }
 
 impl LowerEntries {
@@ -59,6 +67,26 @@ impl LowerEntries {
     /// The solution for each column of `rhs`; `None` where the matrix isn't positive definite.
     pub fn solve(&self, rhs: &Mat<f64>) -> Option<Mat<f64>> {
         let factor = self.matrix(rhs.nrows())?.sp_cholesky(Side::Lower).ok()?;
+        let x = factor.solve(rhs);
+        x.is_all_finite().then_some(x)
+    }
+
+    /// The order for an n × n matrix with entries at these places; `None` where one lies outside of it.
+    pub fn order(&self, n: usize) -> Option<Order> {
+        let (places, _) = self.matrix(n)?.into_parts();
+        let factors = SymbolicLlt::try_new(places.as_ref(), Side::Lower).ok()?;
+        Some(Order { places, factors })
+    }
+
+    /// [`LowerEntries::solve`] in an order that is known; one for entries at other places is of no use.
+    pub fn solve_in(&self, order: &Order, rhs: &Mat<f64>) -> Option<Mat<f64>> {
+        let matrix = self.matrix(rhs.nrows())?;
+        let (own, known) = (matrix.symbolic(), order.places.as_ref());
+        if own.col_ptr() != known.col_ptr() || own.row_idx() != known.row_idx() {
+            return self.solve(rhs);
+        }
+        let factors = order.factors.clone();
+        let factor = Llt::try_new_with_symbolic(factors, matrix.as_ref(), Side::Lower).ok()?;
         let x = factor.solve(rhs);
         x.is_all_finite().then_some(x)
     }
@@ -130,6 +158,12 @@ mod tests {
         let chain = chain.scaled(0.5);
         let rhs = Mat::from_fn(n, 1, |i, _| if i == n - 1 { 1.0 } else { 0.0 });
         let x = chain.solve(&rhs).unwrap();
+        let order = chain.clone().scaled(3.0).order(n).unwrap();
+        assert_eq!(chain.solve_in(&order, &rhs).unwrap(), x);
+        let mut longer = chain.clone();
+        longer.add(n - 1, 0, 0.0);
+        let other = longer.solve_in(&order, &rhs).unwrap();
+        assert!((other - &x).norm_max() < 1e-12, "an order for other places");
         // A pull of 1 at the free end stretches the holding spring by 1/1.5 and each other by 1.
         for i in 0..n {
             assert!((x[(i, 0)] - (1.0 / 1.5 + i as f64)).abs() < 1e-12, "{i}");

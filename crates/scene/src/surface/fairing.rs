@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use faer::Mat;
 use glam::{DVec3, Vec3};
 
-use rekindle_base::math::sparse::{LowerEntries, SparseRow};
+use rekindle_base::math::sparse::{LowerEntries, Order, SparseRow};
 use rekindle_capture::Mesh;
 
 /// How often every triangle is divided into four.
@@ -58,26 +58,10 @@ impl Fairing {
             hat_at[place as usize] = hat;
         }
         let (bends, area) = flat.bends();
-        let means = means(&hat_at, &area);
-        flat.faired(&bends, &means)
-    }
-
-    /// The fair surface of a mesh that is as fine as the surface but noisy: B is one place, and its weight A/ℓ⁴, so that what is
-    /// clearly shorter than 2πℓ is smoothed away; `length` is that ℓ, mesh units. Where the surface is bent more than it is at most
-    /// places even so, as at creases, bending counts less: as under a Cauchy distribution of curvatures.
-    pub fn smoothing(noisy: &Mesh, length: f64) -> Option<Self> {
-        let flat = Flat::new(Mesh {
-            uvs: Vec::new(),
-            ..noisy.clone()
-        });
-        let (bends, area) = flat.bends();
-        let held = area.iter().enumerate();
-        let held: Vec<(SparseRow, f64)> = held
-            .map(|(place, area)| (vec![(place, 1.0)], area / length.powi(4)))
-            .collect();
-        let even = flat.least_bent(&bends, &held)?.1;
-        let creased = creased(bends, &even);
-        flat.faired(&creased, &held)
+        let held = means(&hat_at, &area);
+        let energy = energy(&bends, &held);
+        let order = energy.order(flat.places.len())?;
+        flat.faired(energy, (&bends, &held), &order)
     }
 
     /// Adds the precision P of the true surface's heights over the fair one, if surfaces are as bent as that, to
@@ -104,6 +88,73 @@ impl Fairing {
         }
         mesh
     }
+}
+
+/// A mesh that is as fine as the surface but noisy, to be smoothed more or less.
+pub struct Smoothing {
+    flat: Flat,
+    bends: Vec<(SparseRow, f64)>,
+    /// What bends add to K.
+    bent: LowerEntries,
+    /// Area of each place.
+    area: Vec<f64>,
+    order: Order,
+}
+
+impl Smoothing {
+    /// Prepares a mesh; `None` where it has no surface.
+    pub fn new(noisy: &Mesh) -> Option<Self> {
+        let flat = Flat::new(Mesh {
+            uvs: Vec::new(),
+            ..noisy.clone()
+        });
+        let (bends, area) = flat.bends();
+        let bent = energy(&bends, &[]);
+        // Each place is held beside its own bend, so by an entry that is there.
+        let order = bent.order(flat.places.len())?;
+        Some(Self {
+            flat,
+            bends,
+            bent,
+            area,
+            order,
+        })
+    }
+
+    /// The fair surface: B is one place, and its weight A/ℓ⁴, so that what is clearly shorter than 2πℓ is smoothed away; `length` is that
+    /// ℓ, mesh units. Where the surface is bent more than it is at most places even so, as at creases, bending counts less: as under a
+    /// Cauchy distribution of curvatures. `None` where the mesh does not determine one.
+    pub fn at(&self, length: f64) -> Option<Fairing> {
+        let held = self.held(length);
+        let even = self.evenly(&held)?;
+        let creased = creased(self.bends.clone(), &even);
+        let energy = energy(&creased, &held);
+        self.flat.faired(energy, (&creased, &held), &self.order)
+    }
+
+    fn held(&self, length: f64) -> Vec<(SparseRow, f64)> {
+        let held = self.area.iter().enumerate();
+        held.map(|(place, area)| (vec![(place, 1.0)], area / length.powi(4)))
+            .collect()
+    }
+
+    /// Places where bending counts the same everywhere.
+    fn evenly(&self, held: &[(SparseRow, f64)]) -> Option<Vec<DVec3>> {
+        let mut energy = self.bent.clone();
+        for (row, weight) in held {
+            energy.add_square(row, *weight);
+        }
+        self.flat.least_bent(&energy, held, &self.order)
+    }
+}
+
+/// The K of weighted rows.
+fn energy(bends: &[(SparseRow, f64)], held: &[(SparseRow, f64)]) -> LowerEntries {
+    let mut energy = LowerEntries::default();
+    for (row, weight) in bends.iter().chain(held) {
+        energy.add_square(row, *weight);
+    }
+    energy
 }
 
 /// A mesh whose vertices at one place are one.
@@ -140,9 +191,14 @@ impl Flat {
         (rows.map(|(row, a)| (row, 1.0 / a)).collect(), area)
     }
 
-    /// The least bent surface that is held where it is by some weighted means of places.
-    fn faired(self, bends: &[(SparseRow, f64)], held: &[(SparseRow, f64)]) -> Option<Fairing> {
-        let (energy, positions) = self.least_bent(bends, held)?;
+    /// The least bent surface that is held where it is by some weighted means of places; `energy` is its K.
+    fn faired(
+        &self,
+        energy: LowerEntries,
+        (bends, held): (&[(SparseRow, f64)], &[(SparseRow, f64)]),
+        order: &Order,
+    ) -> Option<Fairing> {
+        let positions = self.least_bent(&energy, held, order)?;
         let off = positions.iter().zip(&self.places);
         let off: Vec<DVec3> = off.map(|(x, f)| *x - *f).collect();
         let bent = bends
@@ -155,24 +211,21 @@ impl Flat {
         Some(Fairing {
             precision: energy.scaled(1.0 / variance.max(f64::MIN_POSITIVE)),
             given_normals: self.mesh.normals.clone(),
-            mesh: self.mesh,
-            triangles: self.triangles,
+            mesh: self.mesh.clone(),
+            triangles: self.triangles.clone(),
             positions,
-            place_of: self.place_of,
+            place_of: self.place_of.clone(),
         })
     }
 
-    /// The K of that surface, and its places.
+    /// The places of that surface.
     fn least_bent(
         &self,
-        bends: &[(SparseRow, f64)],
+        energy: &LowerEntries,
         held: &[(SparseRow, f64)],
-    ) -> Option<(LowerEntries, Vec<DVec3>)> {
+        order: &Order,
+    ) -> Option<Vec<DVec3>> {
         let count = self.places.len();
-        let mut energy = LowerEntries::default();
-        for (row, weight) in bends.iter().chain(held) {
-            energy.add_square(row, *weight);
-        }
         let mut pull = vec![DVec3::ZERO; count];
         for (row, weight) in held {
             let mean = applied(row, &self.places);
@@ -180,10 +233,9 @@ impl Flat {
                 pull[place] += *weight * share * mean;
             }
         }
-        let x = energy.solve(&Mat::from_fn(count, 3, |i, k| pull[i][k]))?;
+        let x = energy.solve_in(order, &Mat::from_fn(count, 3, |i, k| pull[i][k]))?;
         let places = (0..count).map(|i| DVec3::new(x[(i, 0)], x[(i, 1)], x[(i, 2)]));
-        let places = places.collect();
-        Some((energy, places))
+        Some(places.collect())
     }
 }
 
@@ -402,14 +454,14 @@ mod tests {
     #[test]
     fn smoothing_takes_noise_away_and_leaves_a_crease() {
         let mesh = noisy_ridge();
-        let smooth = Fairing::smoothing(&mesh, 1.5).unwrap();
-        let flat = Flat::new(mesh.clone());
-        let (bends, area) = flat.bends();
-        let held: Vec<(SparseRow, f64)> = (area.iter().enumerate())
-            .map(|(place, area)| (vec![(place, 1.0)], area / 1.5_f64.powi(4)))
-            .collect();
-        let even = flat.least_bent(&bends, &held).unwrap().1;
-        let (noisy, place_of) = (flat.places, flat.place_of);
+        let smoothing = Smoothing::new(&mesh).unwrap();
+        let smooth = smoothing.at(1.5).unwrap();
+        let even = smoothing.evenly(&smoothing.held(1.5)).unwrap();
+        let Flat {
+            places: noisy,
+            place_of,
+            ..
+        } = smoothing.flat;
         let [before, after] =
             [&noisy, &smooth.positions].map(|at| off_ridge((at, &place_of), &mesh, 6.0..18.0));
         assert!(after < 0.4 * before, "{before}° before, {after}° after");

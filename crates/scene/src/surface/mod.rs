@@ -13,7 +13,7 @@ mod visible;
 
 pub use atlas::{Atlas, LARGEST_SIDE, Texel};
 pub use bvh::{Hit, Occluder, WalkNode};
-pub use fairing::{Fairing, area_vectors};
+pub use fairing::{Fairing, Smoothing, area_vectors};
 pub use gloss_texture::GlossTexture;
 pub use parts::{GlossParts, PartPoint, likeness};
 pub use simplify::simplified;

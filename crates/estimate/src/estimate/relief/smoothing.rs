@@ -1,7 +1,5 @@
 //! How much a noisy mesh is to be smoothed: as much as the pictures say.
 
-use std::borrow::Cow;
-
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -13,7 +11,7 @@ use crate::estimate::observer::{Stopped, Unobserved, go_on};
 use rekindle_base::math::ranks::placed_signed_ranks;
 use rekindle_capture::Mesh;
 use rekindle_scene::reflectance::SpecularModel;
-use rekindle_scene::surface::{Fairing, NO_TRIANGLE, ViewSurface, simplified};
+use rekindle_scene::surface::{NO_TRIANGLE, Smoothing, ViewSurface, simplified};
 
 /// Most triangles of a surface with places of its own to move.
 const MOST_TRIANGLES: usize = 90_000;
@@ -50,10 +48,10 @@ impl Smoothed {
     fn of(
         solver: &Solver<'_>,
         model: SpecularModel,
-        mesh: &Mesh,
+        (mesh, spacing): (&Smoothing, f64),
         length: f64,
     ) -> Result<Option<Self>, Stopped> {
-        let Some(fairing) = Fairing::smoothing(mesh, length * spacing(mesh)) else {
+        let Some(fairing) = mesh.at(length * spacing) else {
             return Ok(None);
         };
         let relief = Relief::new(fairing);
@@ -90,17 +88,23 @@ pub fn smoothed(
     let model = coarse.state.brdf.model;
     let mut tried: Vec<Smoothed> = Vec::new();
     let mut least = f64::INFINITY;
-    let mut simpler = (0, Cow::Borrowed(solver.seen.mesh));
+    let mut simpler: Option<(usize, Smoothing, f64)> = None;
     for some in SMOOTHINGS.chunks(AT_ONCE) {
         go_on(watch.observer.progress("smoothing the surface", 0.3))?;
         let (coarser, _) = some[0];
-        if coarser != simpler.0 {
+        let known = simpler.take().filter(|(times, ..)| *times == coarser);
+        let Some((_, mesh, spacing)) = known.or_else(|| {
             let triangles = largest.min(MOST_TRIANGLES) / coarser;
-            simpler = (coarser, Cow::Owned(simplified(solver.seen.mesh, triangles)));
-        }
-        let smooth = |&(_, length): &(usize, f64)| Smoothed::of(solver, model, &simpler.1, length);
+            let mesh = simplified(solver.seen.mesh, triangles);
+            Some((coarser, Smoothing::new(&mesh)?, spacing(&mesh)))
+        }) else {
+            continue;
+        };
+        let smooth =
+            |&(_, length): &(usize, f64)| Smoothed::of(solver, model, (&mesh, spacing), length);
         let found: Result<Vec<_>, Stopped> = some.par_iter().map(smooth).collect();
         tried.extend(found?.into_iter().flatten());
+        simpler = Some((coarser, mesh, spacing));
         least = tried.iter().map(Smoothed::total).fold(least, f64::min);
         let is_last = |last: &Smoothed| last.total() > TOO_MUCH * least;
         if tried.last().is_some_and(is_last) {
