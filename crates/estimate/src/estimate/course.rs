@@ -162,7 +162,7 @@ fn with_coarse_fit<R>(
     watch: &mut Watch<'_>,
     then: impl FnOnce(&Solver<'_>, Start<'_>, &mut Watch<'_>) -> Result<R, Stopped>,
 ) -> Result<R, Stopped> {
-    let (coarse, because) = choose(solver, choice, &SpecularModel::ALL, watch)?;
+    let (coarse, because) = choose(solver, choice, watch)?;
     if !solver.grid.whole && diagnose::leaves_much(&coarse.state) && !watch.observer.enough() {
         let around = AllAround::of(solver);
         let whole = around.solver(solver);
@@ -171,7 +171,7 @@ fn with_coarse_fit<R>(
         let mut everywhere = whole.compare_sigmas(model, Some(sigma), watch)?;
         whole.improve_coarse(&mut everywhere, watch)?;
         if is_lit_from_below((&whole, &everywhere), (solver, &coarse)) {
-            let (everywhere, because) = choose(&whole, choice, &SpecularModel::ALL, watch)?;
+            let (everywhere, because) = choose(&whole, choice, watch)?;
             return then(&whole, Start::of(everywhere, because), watch);
         }
     }
@@ -207,7 +207,7 @@ fn better<'s>(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Start<'s>>, Stopped> {
-    let (coarse, because) = choose(parted, choice, &SpecularModel::ALL, watch)?;
+    let (coarse, because) = choose(parted, choice, watch)?;
     let is_better = explains_better(&coarse, without)
         && predicts_better(coarse.left_out(parted), without.left_out(solver));
     Ok(is_better.then_some(Start::of(coarse, because)))
@@ -291,7 +291,8 @@ fn on_relief(
         let mesh = relief.mesh();
         let bench = Bench::new(&mesh, solver.seen.views);
         let bent = bench.solver(solver, &mesh);
-        let (again, because) = choose(&bent, choice, &SpecularModel::ALL, watch)?;
+        let near = Some(coarse.state.brdf.sigma);
+        let (again, because) = choose_near(&bent, choice, near, watch)?;
         if again.unexplained < coarse.unexplained {
             let ending = end(&bent, &again, because, with, watch)?;
             return Ok(on(&bent, ending));
@@ -418,7 +419,7 @@ fn patches(
         return Ok(Patches::None);
     };
     let parted = solver.parted(&strengths);
-    let (fit, _) = choose(&parted, choice, &SpecularModel::ALL, watch)?;
+    let (fit, _) = choose(&parted, choice, watch)?;
     if !explains_better(&fit, coarse) {
         return Ok(Patches::None);
     }
@@ -470,29 +471,73 @@ fn resolved<'s>(
     Ok(Some((state, because)))
 }
 
-/// The coarse fit of the model asked for, or of the one `among` others that leaves least, with the reason in words; the paper's
-/// is always tried. Those that leave clearly more from the start are not improved.
-pub fn choose<'s>(
+/// The coarse fit of the model asked for, or of the one that leaves least, with the reason in words.
+fn choose<'s>(
     solver: &'s Solver<'_>,
     choice: SpecularChoice,
-    among: &[SpecularModel],
+    watch: &mut Watch<'_>,
+) -> Result<(CoarseFit<'s>, String), Stopped> {
+    choose_near(solver, choice, None, watch)
+}
+
+/// The same of roughnesses about one, where there is such.
+fn choose_near<'s>(
+    solver: &'s Solver<'_>,
+    choice: SpecularChoice,
+    near: Option<f32>,
     watch: &mut Watch<'_>,
 ) -> Result<(CoarseFit<'s>, String), Stopped> {
     if let SpecularChoice::Model(model) = choice {
-        let first = solver.first.and_then(|first| first.brdf);
-        let near = first.map(|brdf| brdf.sigma);
-        let mut fit = solver.compare_sigmas(model, near, watch)?;
-        solver.improve_coarse(&mut fit, watch)?;
-        return Ok((fit, "it was asked for".to_owned()));
+        return Ok((
+            asked_for(solver, model, watch)?,
+            "it was asked for".to_owned(),
+        ));
     }
-    let mut fits = vec![solver.compare_sigmas(SpecularModel::Paper, None, watch)?];
+    let Compared { mut fits, .. } = compared(solver, near, watch)?;
+    let because = if fits.len() < 2 {
+        "it was the only one tried before the end".to_owned()
+    } else {
+        diagnose::chosen([0, 1].map(|k| (fits[k].unexplained, fits[k].state.brdf.model)))
+    };
+    Ok((fits.swap_remove(0), because))
+}
+
+/// The coarse fit of a model.
+pub fn asked_for<'s>(
+    solver: &'s Solver<'_>,
+    model: SpecularModel,
+    watch: &mut Watch<'_>,
+) -> Result<CoarseFit<'s>, Stopped> {
+    let first = solver.first.and_then(|first| first.brdf);
+    let near = first.map(|brdf| brdf.sigma);
+    let mut fit = solver.compare_sigmas(model, near, watch)?;
+    solver.improve_coarse(&mut fit, watch)?;
+    Ok(fit)
+}
+
+/// Coarse fits of all models, those that leave less first.
+pub struct Compared<'s> {
+    /// The fits; the paper's alone where there was no time for others.
+    pub fits: Vec<CoarseFit<'s>>,
+    /// So many of them were improved: those that leave clearly more from the start are not.
+    pub improved: usize,
+}
+
+/// Compares all models, at roughnesses about one where there is such.
+pub fn compared<'s>(
+    solver: &'s Solver<'_>,
+    near: Option<f32>,
+    watch: &mut Watch<'_>,
+) -> Result<Compared<'s>, Stopped> {
+    let mut fits = vec![solver.compare_sigmas(SpecularModel::Paper, near, watch)?];
     if watch.observer.enough() {
-        let because = "it was the only one tried before the end".to_owned();
-        return Ok((fits.remove(0), because));
+        return Ok(Compared { fits, improved: 0 });
     }
     let near = Some(fits[0].state.brdf.sigma);
-    for &model in among.iter().filter(|&&model| model != SpecularModel::Paper) {
-        fits.push(solver.compare_sigmas(model, near, watch)?);
+    for model in SpecularModel::ALL {
+        if model != SpecularModel::Paper {
+            fits.push(solver.compare_sigmas(model, near, watch)?);
+        }
     }
     sort_by_rest(&mut fits);
     let most = CLEARLY_LESS * fits[0].unexplained;
@@ -503,8 +548,7 @@ pub fn choose<'s>(
         solver.improve_coarse(fit, watch)?;
     }
     sort_by_rest(&mut fits[..improved]);
-    let because = diagnose::chosen([0, 1].map(|k| (fits[k].unexplained, fits[k].state.brdf.model)));
-    Ok((fits.swap_remove(0), because))
+    Ok(Compared { fits, improved })
 }
 
 fn sort_by_rest(fits: &mut [CoarseFit<'_>]) {

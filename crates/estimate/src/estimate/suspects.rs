@@ -172,28 +172,19 @@ impl Solver<'_> {
     /// The view without which the others are explained better than without any other, by more than chance.
     pub fn odd_view(&self, fit: &State<'_>) -> Result<Option<Suspicion>, Stopped> {
         let views = self.seen.views.len();
-        let models = [fit.brdf.model];
-        let stated = self.stated(&models);
         if views < FEWEST_VIEWS {
             return Ok(None);
         }
         let without = |view: usize| {
             let (observations, rows) = self.coarse.without_views(|other| other == view);
-            let change = Change {
-                observations: &observations,
-                ..stated
-            };
-            let state = self.fitted(&change, fit.brdf.sigma, f64::INFINITY)?;
-            Ok(state.map(|state| (self.left_in_rows(&state, &rows), state.brdf.sigma)))
+            let roots = self.pyramid.roots();
+            let dark = State::new(self.design(&observations, &roots), roots, fit.brdf);
+            let mut state = dark.lit_at(fit.brdf.sigma);
+            self.improve_quietly(&mut state, ROUNDS, ROUGH)?;
+            Ok((self.left_in_rows(&state, &rows), state.brdf.sigma))
         };
-        let without: Result<Option<Vec<_>>, Stopped> = (0..views)
-            .into_par_iter()
-            .map(without)
-            .collect::<Result<Vec<_>, _>>()
-            .map(|all| all.into_iter().collect());
-        let Some(without) = without? else {
-            return Ok(None);
-        };
+        let without: Result<Vec<_>, Stopped> = (0..views).into_par_iter().map(without).collect();
+        let without = without?;
         // What is left in the rows of third views is compared.
         let third = |one: usize, other: usize, left: &[f64]| -> Vec<f64> {
             let points = self.coarse.points.iter();

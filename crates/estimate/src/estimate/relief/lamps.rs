@@ -6,7 +6,7 @@ use glam::Vec3;
 use super::central_difference;
 use crate::estimate::SpecularChoice;
 use crate::estimate::cells::{Cell, CellGeometry};
-use crate::estimate::course::choose;
+use crate::estimate::course::{Compared, asked_for, compared};
 use crate::estimate::design::Design;
 use crate::estimate::fast::{CoarseFit, Solver, Watch};
 use crate::estimate::held_out::{CHANCE, roughly_left_out};
@@ -53,11 +53,20 @@ fn wide_fit<'s>(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<CoarseFit<'s>, Stopped> {
-    let (any, _) = choose(solver, choice, &SpecularModel::ALL, watch)?;
-    if choice != SpecularChoice::Auto || SHORT_TAILED.contains(&any.state.brdf.model) {
-        return Ok(any);
+    if let SpecularChoice::Model(model) = choice {
+        return asked_for(solver, model, watch);
     }
-    let (short, _) = choose(solver, choice, &SHORT_TAILED, watch)?;
+    let Compared { mut fits, improved } = compared(solver, None, watch)?;
+    let is_short = |fit: &CoarseFit<'_>| SHORT_TAILED.contains(&fit.state.brdf.model);
+    let at = fits.iter().position(is_short).unwrap_or(0);
+    let mut short = fits.swap_remove(at);
+    if at == 0 {
+        return Ok(short);
+    }
+    let any = fits.swap_remove(0);
+    if at >= improved {
+        solver.improve_coarse(&mut short, watch)?;
+    }
     let left = |fit: &CoarseFit<'_>| -> Vec<f64> {
         let left = roughly_left_out(solver, &fit.state);
         left.into_iter().map(|(_, left)| left).collect()
