@@ -104,9 +104,12 @@ impl TriangleShares {
             (0..shader.groups()).partition(|&g| shader.is_sharp(g));
         let vertices: Vec<AtVertex> = (0..mesh.positions.len())
             .into_par_iter()
-            .map(|v| match needed[v] {
-                true => AtVertex::new(mesh, v, shader, &soft),
-                false => AtVertex::default(),
+            .map(|v| {
+                if needed[v] {
+                    AtVertex::new(mesh, v, shader, &soft)
+                } else {
+                    AtVertex::default()
+                }
             })
             .collect();
         let plain = plain_surroundings(mesh, &vertices, &sharp);

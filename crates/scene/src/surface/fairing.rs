@@ -31,6 +31,9 @@ const LARGEST_COTANGENT: f64 = 50.0;
 /// Areas below this part of the mean are taken as that.
 const LEAST_AREA: f64 = 1e-3;
 
+/// A row with its weight.
+type Weighted = (SparseRow, f64);
+
 /// A fair surface, and how it may differ from the true one.
 #[derive(Clone, Debug)]
 pub struct Fairing {
@@ -93,7 +96,7 @@ impl Fairing {
 /// A mesh that is as fine as the surface but noisy, to be smoothed more or less.
 pub struct Smoothing {
     flat: Flat,
-    bends: Vec<(SparseRow, f64)>,
+    bends: Vec<Weighted>,
     /// What bends add to K.
     bent: LowerEntries,
     /// Area of each place.
@@ -132,14 +135,14 @@ impl Smoothing {
         self.flat.faired(energy, (&creased, &held), &self.order)
     }
 
-    fn held(&self, length: f64) -> Vec<(SparseRow, f64)> {
+    fn held(&self, length: f64) -> Vec<Weighted> {
         let held = self.area.iter().enumerate();
         held.map(|(place, area)| (vec![(place, 1.0)], area / length.powi(4)))
             .collect()
     }
 
     /// Places where bending counts the same everywhere.
-    fn evenly(&self, held: &[(SparseRow, f64)]) -> Option<Vec<DVec3>> {
+    fn evenly(&self, held: &[Weighted]) -> Option<Vec<DVec3>> {
         let mut energy = self.bent.clone();
         for (row, weight) in held {
             energy.add_square(row, *weight);
@@ -149,7 +152,7 @@ impl Smoothing {
 }
 
 /// The K of weighted rows.
-fn energy(bends: &[(SparseRow, f64)], held: &[(SparseRow, f64)]) -> LowerEntries {
+fn energy(bends: &[Weighted], held: &[Weighted]) -> LowerEntries {
     let mut energy = LowerEntries::default();
     for (row, weight) in bends.iter().chain(held) {
         energy.add_square(row, *weight);
@@ -185,7 +188,7 @@ impl Flat {
     }
 
     /// The rows L with the weights 1/A, and the areas A.
-    fn bends(&self) -> (Vec<(SparseRow, f64)>, Vec<f64>) {
+    fn bends(&self) -> (Vec<Weighted>, Vec<f64>) {
         let (laplacian, area) = laplacian(&self.places, &self.triangles);
         let rows = laplacian.into_iter().zip(&area);
         (rows.map(|(row, a)| (row, 1.0 / a)).collect(), area)
@@ -195,7 +198,7 @@ impl Flat {
     fn faired(
         &self,
         energy: LowerEntries,
-        (bends, held): (&[(SparseRow, f64)], &[(SparseRow, f64)]),
+        (bends, held): (&[Weighted], &[Weighted]),
         order: &Order,
     ) -> Option<Fairing> {
         let positions = self.least_bent(&energy, held, order)?;
@@ -222,7 +225,7 @@ impl Flat {
     fn least_bent(
         &self,
         energy: &LowerEntries,
-        held: &[(SparseRow, f64)],
+        held: &[Weighted],
         order: &Order,
     ) -> Option<Vec<DVec3>> {
         let count = self.places.len();
@@ -240,8 +243,8 @@ impl Flat {
 }
 
 /// The rows L with less weight where the surface of these places is bent more than it is at most of them.
-fn creased(mut bends: Vec<(SparseRow, f64)>, places: &[DVec3]) -> Vec<(SparseRow, f64)> {
-    let curvature = |(row, weight): &(SparseRow, f64)| weight * applied(row, places).length();
+fn creased(mut bends: Vec<Weighted>, places: &[DVec3]) -> Vec<Weighted> {
+    let curvature = |(row, weight): &Weighted| weight * applied(row, places).length();
     let curvatures: Vec<f64> = bends.iter().map(curvature).collect();
     let mut sorted = curvatures.clone();
     let at = sorted.len() / 2;
@@ -305,7 +308,7 @@ fn divide(mesh: &mut Mesh, hats: &mut Vec<SparseRow>) {
 }
 
 /// The means B over coarse vertices' faces with their weights w/A.
-fn means(hat_at: &[SparseRow], area: &[f64]) -> Vec<(SparseRow, f64)> {
+fn means(hat_at: &[SparseRow], area: &[f64]) -> Vec<Weighted> {
     let mut by_coarse: BTreeMap<usize, SparseRow> = BTreeMap::new();
     for (place, hat) in hat_at.iter().enumerate() {
         for &(coarse, weight) in hat {
