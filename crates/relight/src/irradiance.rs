@@ -245,3 +245,61 @@ fn texel_spacing(scene: &Scene, atlas: &Atlas) -> f32 {
     let inside = atlas.texels.iter().filter(|t| !t.gutter).count();
     (area / inside.max(1) as f64).sqrt() as f32
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lighting::{LampNodes, Lighting};
+    use rekindle_scene::surface::Occluder;
+    use rekindle_scene::surface::fixtures::bumpy_sphere;
+
+    /// Irradiance of a point with a ray to every node of a distant lamp.
+    fn node_by_node(occluder: &Occluder, point: &ShadingPoint, lamp: &LampNodes) -> f32 {
+        let origin = occluder.offset_origin(point.position, point.face_normal);
+        let is_seen = |l: Vec3| {
+            l.dot(point.face_normal) > 0.0 && !occluder.occluded(origin, l, f32::INFINITY)
+        };
+        let nodes = lamp.nodes.iter().filter(|n| is_seen(n.direction));
+        let lit = nodes.map(|n| n.flux().x * n.direction.dot(point.normal).max(0.0));
+        lit.sum()
+    }
+
+    #[test]
+    fn a_wide_lamp_lights_texels_of_fine_triangles_as_all_its_nodes_do() {
+        let mesh = bumpy_sphere(130, 0.15);
+        let occluder = Occluder::new(&mesh);
+        // More texels than a small triangle has.
+        let atlas = Atlas::lattice(&mesh, &vec![420.0; mesh.triangles.len()]);
+        let towards = Vec3::new(0.6, 0.48, 0.64);
+        let lamp = LampNodes::disc_of(3000, towards, Vec3::ONE, 1.0, None);
+        let lighting = Lighting::of(vec![lamp.clone()]);
+        let shader = Shader::new(&occluder, None, &lighting);
+        let triangles = TriangleShares::new(&mesh, &atlas, &shader);
+        let scene = Scene {
+            mesh: &mesh,
+            occluder: &occluder,
+            brdf: None,
+            gloss: None,
+            surroundings: None,
+        };
+        let is_told = |t: &&Texel| triangles.beforehand(t.triangle, t.barycentric).1.is_empty();
+        let told = atlas.texels.iter().filter(is_told).count();
+        let all = atlas.texels.len();
+        assert!(2 * told > all, "{told} of {all} texels are told");
+        let irradiance = texel_irradiance(&scene, &atlas, &shader, &triangles);
+        let texels = atlas.texels.iter().filter(|t| !t.gutter).step_by(49_999);
+        let mut errors: Vec<f32> = texels
+            .map(|texel| {
+                let point = ShadingPoint::on(&mesh, texel.triangle, texel.barycentric);
+                let exact = node_by_node(&occluder, &point, &lamp);
+                (irradiance[texel.index as usize].x - exact).abs()
+            })
+            .collect();
+        errors.sort_by(f32::total_cmp);
+        let [median, most] = [0.5, 0.98].map(|part| errors[(part * errors.len() as f32) as usize]);
+        assert!(
+            median < 0.001 && most < 0.005,
+            "off by {median} in the median and {most} at one texel in fifty, of 1"
+        );
+    }
+}
