@@ -82,7 +82,7 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
         let is_still = solver.seen.turning.is_none();
         if is_still
             && solver.first.is_none()
-            && (!shown || diagnose::blames_normals(&start.coarse.state))
+            && (!shown || blames_normals(solver, &start.coarse.state)?)
             && let Some(ending) = on_refined(solver, &start.coarse, rules.choice, watch)?
         {
             return Ok(Outcome::Found(Box::new(ending)));
@@ -95,6 +95,19 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
             |solver, start, watch| on_mesh(solver, start, rules.choice, watch),
         )
     })
+}
+
+/// Whether normals may be off by what a coarse fit leaves, and not by what coarse cells do: a narrow lobe shows more of the lights than these
+/// hold, so they are split once.
+fn blames_normals(solver: &Solver<'_>, coarse: &State<'_>) -> Result<bool, Stopped> {
+    if !diagnose::blames_normals(coarse) {
+        return Ok(false);
+    }
+    let observations = solver.middle_observations(coarse).to_gray();
+    let mut split = solver.refine(coarse, &observations);
+    split.solve_lights(ROUGH);
+    solver.improve_quietly(&mut split, ROUNDS, ROUGH)?;
+    Ok(diagnose::blames_normals(&split))
 }
 
 /// The end on the mesh as it is.
