@@ -112,7 +112,13 @@ impl TriangleShares {
                 }
             })
             .collect();
-        let plain = plain_surroundings(mesh, &vertices, &sharp);
+        let listed = [&sharp[..], &soft].concat();
+        let asked = if fine.iter().all(|&fine| fine) {
+            &sharp
+        } else {
+            &listed
+        };
+        let plain = plain_surroundings(mesh, &vertices, asked);
         let looks = Looks {
             mesh,
             shader,
@@ -124,19 +130,16 @@ impl TriangleShares {
                 if !tells(t) {
                     return None;
                 }
-                let of_sharp = sharp.iter().enumerate().map(|(place, &g)| {
-                    let same = mesh.triangles[t].map(|v| plain[v as usize * sharp.len() + place]);
+                let own = if fine[t] { &sharp } else { asked };
+                let shares = own.iter().enumerate().map(|(place, &g)| {
+                    let same = mesh.triangles[t].map(|v| plain[v as usize * asked.len() + place]);
                     looks.shares(t, g, texels[t], agreed(same))
                 });
-                let of_soft = soft.iter().filter(|_| !fine[t]).map(|&g| {
-                    let seen = looks.at_corners(t, g);
-                    looks.shares(t, g, texels[t], agreed(seen.map(|s| s.filter(is_plain))))
-                });
-                Some(of_sharp.chain(of_soft).collect())
+                Some(shares.collect())
             })
             .collect();
         let mut places = vec![0; shader.groups()];
-        for (place, &group) in sharp.iter().chain(&soft).enumerate() {
+        for (place, &group) in listed.iter().enumerate() {
             places[group] = place;
         }
         Self {
