@@ -104,10 +104,15 @@ fn blames_normals(solver: &Solver<'_>, coarse: &State<'_>) -> Result<bool, Stopp
         return Ok(false);
     }
     let observations = solver.middle_observations(coarse).to_gray();
-    let mut split = solver.refine(coarse, &observations);
+    let split = improved(solver, solver.refine(coarse, &observations))?;
+    Ok(diagnose::blames_normals(&split))
+}
+
+/// The lights of a state on cells that are split once, improved by a few steps.
+fn improved<'s>(solver: &Solver<'_>, mut split: State<'s>) -> Result<State<'s>, Stopped> {
     split.solve_lights(ROUGH);
     solver.improve_quietly(&mut split, ROUNDS, ROUGH)?;
-    Ok(diagnose::blames_normals(&split))
+    Ok(split)
 }
 
 /// The end on the mesh as it is.
@@ -473,8 +478,7 @@ fn resolved<'s>(
         go_on(watch.observer.progress("comparing lobes", 0.3))?;
         let mut state = split.clone();
         state.brdf.model = model;
-        state.solve_lights(ROUGH);
-        solver.improve_quietly(&mut state, ROUNDS, ROUGH)?;
+        let state = improved(solver, state)?;
         tried.push((state.unexplained(), state.brdf));
     }
     tried.sort_by(|a, b| a.0.total_cmp(&b.0));

@@ -307,8 +307,7 @@ fn left_of_views(
         SpecularChoice::Model(model) => model,
         SpecularChoice::Auto => SpecularModel::Paper,
     };
-    let mut fit = solver.compare_sigmas(model, None, &mut watch)?;
-    solver.improve_coarse(&mut fit, &mut watch)?;
+    let fit = course::asked_for(&solver, model, &mut watch)?;
     let left = relatively_left_out(&solver, &fit.state);
     if stop.load(Ordering::Relaxed) {
         return Err(Stopped);
