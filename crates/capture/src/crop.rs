@@ -144,13 +144,19 @@ impl Photograph {
         let share = 1.0 / (block * block) as f32;
         let all = || (0..width * height).into_par_iter();
         let usable: Vec<bool> = all().map(|i| pixels(i).all(|p| self.usable[p])).collect();
+        let is_known = |p: usize| self.usable[p] || self.is_clipped(p);
+        let clipped: Option<Vec<bool>> = self.clipped.is_some().then(|| {
+            let at_least = |i: usize| !usable[i] && pixels(i).all(is_known);
+            all().map(at_least).collect()
+        });
+        let is_clipped = |i: usize| clipped.as_ref().is_some_and(|clipped| clipped[i]);
         let mean = |i: usize| {
             let sum = || {
                 pixels(i)
                     .map(|p| Vec3::from(self.radiance[p]))
                     .sum::<Vec3>()
             };
-            if usable[i] {
+            if usable[i] || is_clipped(i) {
                 (sum() * share).to_array()
             } else {
                 [0.0; 3]
@@ -174,6 +180,7 @@ impl Photograph {
                 block: block as u32 * crop.block,
                 ..crop
             }),
+            clipped,
             usable,
         }
     }
@@ -194,6 +201,7 @@ impl Photograph {
             radiance: part(&self.radiance, size[0], &columns, &rows),
             coverage: (self.coverage.as_ref()).map(|c| part(c, size[0], &columns, &rows)),
             usable: part(&self.usable, size[0], &columns, &rows),
+            clipped: (self.clipped.as_ref()).map(|c| part(c, size[0], &columns, &rows)),
             crop: Some(Crop {
                 first: [columns.start as u32, rows.start as u32],
                 whole: [self.width, self.height],
@@ -297,6 +305,7 @@ mod tests {
                     .collect(),
             ),
             usable: places().map(covered).collect(),
+            clipped: None,
             crop: None,
         }
     }

@@ -39,6 +39,8 @@ fn of_view(view: &View) -> u128 {
     add_camera(&mut hasher, &view.camera);
     add(&mut hasher, &view.photograph.radiance);
     add(&mut hasher, &view.photograph.usable);
+    let clipped = view.photograph.clipped.as_deref();
+    add(&mut hasher, clipped.unwrap_or_default());
     let coverage = view.photograph.coverage.as_deref();
     add(&mut hasher, coverage.unwrap_or_default());
     hasher.write_u8(u8::from(coverage.is_some()));
@@ -99,6 +101,7 @@ mod tests {
                 radiance: vec![[0.5; 3]; 2],
                 coverage: None,
                 usable: vec![true; 2],
+                clipped: None,
                 crop: None,
             }),
         };
@@ -124,13 +127,14 @@ mod tests {
 
     #[test]
     fn any_change_of_what_was_measured_shows() {
-        let changes: [fn(&mut Capture); 12] = [
+        let changes: [fn(&mut Capture); 13] = [
             |_| {},
             |c| c.views[1].camera.focal.y += 1e-12,
             |c| c.views[1].camera.distortion.k[0] = 1e-6,
             |c| c.views.swap(0, 1),
             |c| Arc::make_mut(&mut c.views[0].photograph).radiance[1][2] = 0.500_000_1,
             |c| Arc::make_mut(&mut c.views[0].photograph).usable[1] = false,
+            |c| Arc::make_mut(&mut c.views[0].photograph).clipped = Some(vec![false, true]),
             |c| Arc::make_mut(&mut c.views[0].photograph).coverage = Some(Vec::new()),
             |c| c.mesh.normals[2].x = 1e-7,
             |c| c.light_hemisphere.radius = Some(3.0),

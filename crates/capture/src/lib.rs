@@ -68,14 +68,23 @@ pub struct Photograph {
     /// Height in pixels.
     pub height: u32,
     /// Mean linear radiance over each pixel's area before a black background, RGB, row by row from the top:
-    /// premultiplied by coverage. Finite everywhere: unusable pixels hold zero.
+    /// premultiplied by coverage. Finite everywhere: unusable pixels hold zero, but clipped ones the least that theirs can be.
     pub radiance: Vec<[f32; 3]>,
     /// Coverage of each pixel by the object in [0, 1], if the file or a mask states it.
     pub coverage: Option<Vec<f32>>,
     /// Whether each pixel is data: finite, not saturated, not masked out.
     pub usable: Vec<bool>,
+    /// Whether each of the others is clipped, and its radiance the least that it can be; `None` where none is.
+    pub clipped: Option<Vec<bool>>,
     /// Where it lies in the picture of its file, if it is only a part of that.
     pub crop: Option<Crop>,
+}
+
+impl Photograph {
+    /// Whether a pixel is clipped: its radiance is the least that it can be.
+    pub fn is_clipped(&self, pixel: usize) -> bool {
+        self.clipped.as_ref().is_some_and(|clipped| clipped[pixel])
+    }
 }
 
 /// One photograph with its camera.

@@ -473,6 +473,7 @@ fn clean(picture: Picture, mask: Option<&Mask>) -> (Photograph, PixelCounts) {
         coverage = Some(white.map(|&white| f32::from(u8::from(white))).collect());
     }
     let mut usable = vec![true; rgb.len()];
+    let mut clipped = vec![false; rgb.len()];
     let mut counts = PixelCounts::default();
     for (i, pixel) in rgb.iter_mut().enumerate() {
         let masked = mask.is_some_and(|mask| !mask.white[i]);
@@ -489,7 +490,10 @@ fn clean(picture: Picture, mask: Option<&Mask>) -> (Photograph, PixelCounts) {
         if let Some(count) = bad {
             *count += 1;
             usable[i] = false;
-            *pixel = [0.0; 3];
+            clipped[i] = !masked && saturated[i] && pixel.iter().all(|v| v.abs() < INFINITE);
+            if !clipped[i] {
+                *pixel = [0.0; 3];
+            }
         } else if pixel.iter().any(|&v| v < 0.0) {
             counts.negative += 1;
             *pixel = pixel.map(|v| v.max(0.0));
@@ -515,6 +519,7 @@ fn clean(picture: Picture, mask: Option<&Mask>) -> (Photograph, PixelCounts) {
         radiance: rgb,
         coverage,
         usable,
+        clipped: clipped.contains(&true).then_some(clipped),
         crop: None,
     };
     (photograph, counts)

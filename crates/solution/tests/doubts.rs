@@ -56,6 +56,7 @@ fn change_pixels(capture: &mut Capture, value: impl Fn(f32) -> f32) {
             radiance: radiance.map(|pixel| pixel.map(&value)).collect(),
             coverage: photograph.coverage.clone(),
             usable: photograph.usable.clone(),
+            clipped: photograph.clipped.clone(),
             ..**photograph
         });
     }
@@ -179,6 +180,7 @@ fn one_view_of_another_exposure_or_balance_changes_nothing() {
                 radiance: photograph.radiance.iter().map(brighter).collect(),
                 coverage: photograph.coverage.clone(),
                 usable: photograph.usable.clone(),
+                clipped: photograph.clipped.clone(),
                 ..**photograph
             });
         });
@@ -202,6 +204,7 @@ fn a_lit_background_without_alpha_stays_out_of_the_texture() {
                 radiance: photograph.radiance.iter().zip(coverage).map(over).collect(),
                 coverage: None,
                 usable: photograph.usable.clone(),
+                clipped: photograph.clipped.clone(),
                 ..**photograph
             });
         }
@@ -338,6 +341,7 @@ fn a_roughness_that_is_stated_of_a_matt_surface_is_taken_and_doubted() {
             radiance: read_radiance(&file).unwrap().2,
             coverage: photograph.coverage.clone(),
             usable: photograph.usable.clone(),
+            clipped: photograph.clipped.clone(),
             ..**photograph
         });
     }

@@ -208,12 +208,16 @@ fn scaled(part: Part, response: &Response) -> Picture {
 fn merge_pixel(parts: &[Part], i: usize, response: &Response) -> ([f32; 3], bool) {
     let (mut sum, mut weights) = ([0.0; 3], [0.0; 3]);
     let mut clipped = false;
+    let mut at_least = [0.0; 3];
     for part in parts {
+        let (values, alpha, variance) = part.values(i, response);
         if part.picture.saturated[i] {
             clipped = true;
+            for (least, value) in at_least.iter_mut().zip(values) {
+                *least = f64::max(*least, alpha * value / part.amount());
+            }
             continue;
         }
-        let (values, alpha, variance) = part.values(i, response);
         if !values.iter().all(|v| v.is_finite()) {
             continue;
         }
@@ -226,8 +230,9 @@ fn merge_pixel(parts: &[Part], i: usize, response: &Response) -> ([f32; 3], bool
     }
     if weights[0] == 0.0 {
         // Saturated, or without any finite value; that is told apart by the value.
-        let value = if clipped { 0.0 } else { f32::NAN };
-        return ([value; 3], clipped);
+        let finite = |v: f64| if v.is_finite() { v as f32 } else { 0.0 };
+        let least = at_least.map(finite);
+        return (if clipped { least } else { [f32::NAN; 3] }, clipped);
     }
     let merged = [0, 1, 2].map(|c| (sum[c] / weights[c]) as f32);
     (merged, false)

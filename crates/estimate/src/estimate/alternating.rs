@@ -102,7 +102,8 @@ pub fn solve(
             scale: Some(solver.coarse.scale),
             stop: solver.stop,
         },
-    );
+    )
+    .measured();
     subtract_minimum(&mut all);
     let evidence = initial_hemisphere(solver, grid, &all);
     if evidence.is_empty() {
@@ -112,7 +113,7 @@ pub fn solve(
     let brdf = Brdf::new(model, FIRST_SIGMA);
     let coarse: Vec<Cell> = evidence.keys().copied().collect();
     let directions = solver.pyramid.geometry(&coarse).directions;
-    let mut observations = solver.points_showing(&directions, &brdf, POINTS);
+    let mut observations = solver.points_showing(&directions, &brdf, POINTS).measured();
     subtract_minimum(&mut observations);
     go_on(watch.observer.progress("shadows", 0.05))?;
     let mut design = Design {

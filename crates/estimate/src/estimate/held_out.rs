@@ -236,7 +236,7 @@ fn left_by(
     let of_point = |own: Range<usize>| {
         let (out, kept): (Vec<usize>, Vec<usize>) = own.partition(|&k| is_out(rows[k].view));
         let mut left = Left::default();
-        if kept.is_empty() {
+        if kept.iter().all(|&k| rows[k].is_bound) {
             // Nothing says what its diffuse colour is.
             return left;
         }

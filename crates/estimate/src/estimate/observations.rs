@@ -75,6 +75,8 @@ pub struct Row {
     pub cos_view: f32,
     /// Measured radiance, RGB, in units of [`Observations::scale`].
     pub radiance: [f32; 3],
+    /// Whether `radiance` is clipped: the least that it can be.
+    pub is_bound: bool,
     /// How unsure the interpolated radiance is: the image's local deviation from a plane, same units.
     pub detail: f32,
     /// Irradiance of its point in this view, as a part of what is usual; 1 where it is the same in all views.
@@ -205,7 +207,7 @@ impl Observations {
             scale: 1.0,
             gray: false,
         };
-        let mut sum = 0.0_f64;
+        let (mut sum, mut count) = (0.0_f64, 0);
         for candidate in &candidates {
             let first = all.rows.len();
             all.rows.extend(&candidate.rows);
@@ -216,14 +218,14 @@ impl Observations {
                 gloss: candidate.gloss,
                 rows: first..all.rows.len(),
             });
-            sum += candidate
-                .rows
-                .iter()
+            let measured = candidate.rows.iter().filter(|row| !row.is_bound);
+            count += measured.clone().count();
+            sum += measured
                 .flat_map(|r| r.radiance)
                 .map(f64::from)
                 .sum::<f64>();
         }
-        let mean = (sum / (3 * all.rows.len()).max(1) as f64) as f32;
+        let mean = (sum / (3 * count).max(1) as f64) as f32;
         all.scale = scale.unwrap_or(if mean > 0.0 { mean } else { 1.0 });
         for row in &mut all.rows {
             row.radiance = row.radiance.map(|c| c / all.scale);
@@ -240,13 +242,24 @@ impl Observations {
         for point in &self.points {
             let mut kept: Vec<usize> = point.rows.clone().collect();
             kept.retain(|&k| !is_out(self.rows[k].view));
-            if kept.len() < 2 {
+            if !are_enough(kept.iter().map(|&k| &self.rows[k])) {
                 continue;
             }
             without.take(point, kept.iter().map(|&k| self.rows[k]));
             places.extend(kept);
         }
         (without, places)
+    }
+
+    /// The same without the rows that are bounds only.
+    #[must_use]
+    pub fn measured(&self) -> Self {
+        let mut measured = self.emptied();
+        for point in &self.points {
+            let rows = self.rows[point.rows.clone()].iter().copied();
+            measured.take(point, rows.filter(|row| !row.is_bound));
+        }
+        measured
     }
 
     /// Every so many-th point, from that at `first` on.
@@ -367,7 +380,7 @@ impl Candidate {
                 }
                 candidate(seen, view, [x, y], order)
             })
-            .filter(|c| c.rows.len() >= 2 && (sampling.keep)(c.position, c.normal, &c.rows))
+            .filter(|c| are_enough(&c.rows) && (sampling.keep)(c.position, c.normal, &c.rows))
             .collect();
         found.sort_unstable_by_key(|c| c.order);
         found.retain(Self::among_first(sampling.limit));
@@ -400,6 +413,14 @@ impl Candidate {
         }
         true
     }
+}
+
+/// Whether rows of a point say what differs between views: at least two are measured.
+fn are_enough<'r>(rows: impl IntoIterator<Item = &'r Row>) -> bool {
+    rows.into_iter()
+        .filter(|row| !row.is_bound)
+        .nth(1)
+        .is_some()
 }
 
 /// One pixel in each square of `cell` × `cell` pixels, jittered by a hash, with the hash as a random order.
@@ -469,13 +490,14 @@ fn row(seen: &Seen<'_>, view: usize, position: Vec3, normal: Vec3) -> Option<Row
         return None;
     }
     let pixel = seen.surfaces[view].sees(position)?;
-    let (radiance, detail) =
-        interpolate(&seen.views[view].photograph, &seen.surfaces[view], pixel)?;
+    let photograph = &seen.views[view].photograph;
+    let (radiance, detail, is_bound) = interpolate(photograph, &seen.surfaces[view], pixel)?;
     Some(Row {
         view,
         to_camera,
         cos_view,
         radiance,
+        is_bound,
         detail,
         irradiance: 1.0,
         placed: seen
@@ -485,12 +507,13 @@ fn row(seen: &Seen<'_>, view: usize, position: Vec3, normal: Vec3) -> Option<Row
 }
 
 /// Catmull-Rom interpolation of a photograph at a pixel coordinate, with the deviation of the 4 × 4 pixels from
-/// their best plane. `None` where one of them is no data or not inside the object.
+/// their best plane, and whether one of the nearest four is clipped: then the least of these is what there is at least. `None` where
+/// one of them is no data or not inside the object, or where clipped ones would only correct what nearer ones say.
 fn interpolate(
     photograph: &Photograph,
     surface: &ViewSurface,
     pixel: DVec2,
-) -> Option<([f32; 3], f32)> {
+) -> Option<([f32; 3], f32, bool)> {
     let at = pixel - 0.5;
     let corner = at.floor();
     let (x0, y0) = (corner.x as i64 - 1, corner.y as i64 - 1);
@@ -510,18 +533,33 @@ fn interpolate(
     let (wx, wy) = (weights(fraction.x), weights(fraction.y));
     let mut value = Vec3::ZERO;
     let mut samples = [Vec3::ZERO; 16];
+    let (mut is_bound, mut at_least, mut any_clipped) = (false, Vec3::INFINITY, false);
     for j in 0..4 {
         for i in 0..4 {
             let index = ((y0 + j) * width + x0 + i) as usize;
-            if !photograph.usable[index] || !surface.interior[index] {
+            let is_clipped = photograph.is_clipped(index);
+            if !surface.interior[index] || !(photograph.usable[index] || is_clipped) {
                 return None;
             }
             let sample = Vec3::from(photograph.radiance[index]);
+            any_clipped |= is_clipped;
+            if (1..3).contains(&i) && (1..3).contains(&j) {
+                is_bound |= is_clipped;
+                at_least = at_least.min(sample);
+            }
             samples[(4 * j + i) as usize] = sample;
             value += wx[i as usize] * wy[j as usize] * sample;
         }
     }
-    Some((value.max(Vec3::ZERO).into(), plane_deviation(&samples)))
+    if any_clipped && !is_bound {
+        return None;
+    }
+    let value = if is_bound {
+        at_least
+    } else {
+        value.max(Vec3::ZERO)
+    };
+    Some((value.into(), plane_deviation(&samples), is_bound))
 }
 
 /// Root mean square deviation of 4 × 4 samples from their least-squares plane, over the three channels.

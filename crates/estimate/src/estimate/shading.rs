@@ -75,7 +75,7 @@ struct Shading<'a> {
 pub fn light_by_shading(solver: &Solver<'_>) -> Option<(HemisphereGrid, Vec<[f32; 3]>)> {
     let grid = solver.grid.to_whole();
     let pyramid = Pyramid::new(&grid, FREQUENCY);
-    let observations = solver.colours(POINTS);
+    let observations = solver.colours(POINTS).measured();
     let mut cells = pyramid.roots();
     let pairs = pairs(&observations.points);
     let mut shading = Shading::new(solver, &observations, &pyramid, &cells, &pairs);

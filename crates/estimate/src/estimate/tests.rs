@@ -500,6 +500,7 @@ fn bare_observations(points: usize, random: &mut Random) -> Observations {
         let first = all.rows.len();
         all.rows
             .extend(cameras.iter().enumerate().map(|(view, &to_camera)| Row {
+                is_bound: false,
                 view,
                 to_camera,
                 cos_view: normal.dot(to_camera),

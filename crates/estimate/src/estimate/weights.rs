@@ -15,7 +15,7 @@ pub const DETAIL_SHARE: f32 = 0.3;
 /// What a fit left over, row by row.
 #[derive(Clone, Debug, Default)]
 pub struct Residuals {
-    /// Measured − predicted, RGB, per row, each point's best diffuse colour taken out.
+    /// Measured − predicted, RGB, per row, each point's best diffuse colour taken out; zero where a bound is met.
     pub values: Vec<[f32; 3]>,
     /// Standard deviation of the noise of a row without image detail, per channel.
     pub noise: f32,
@@ -38,14 +38,20 @@ pub fn magnitude(r: [f32; 3]) -> f32 {
     (r.iter().map(|c| c * c).sum::<f32>() / 3.0).sqrt()
 }
 
-/// Weights before any fit: by image detail alone, in relation to its median.
+/// Weights before any fit: by image detail alone, in relation to its median; none for bounds, which say nothing as long as there is
+/// nothing that may contradict them.
 pub fn initial_weights(design: &Design<'_>) -> Vec<f32> {
     let rows = &design.observations.rows;
     let mut details: Vec<f32> = rows.iter().map(|r| r.detail).collect();
     let typical = median(&mut details).max(1e-6);
-    rows.iter()
-        .map(|r| (1.0 + (r.detail / typical).powi(2)).recip())
-        .collect()
+    let of = |r: &Row| {
+        if r.is_bound {
+            0.0
+        } else {
+            (1.0 + (r.detail / typical).powi(2)).recip()
+        }
+    };
+    rows.iter().map(of).collect()
 }
 
 /// Residuals of a prediction under the weights that eliminate the diffuse colours.
@@ -65,6 +71,11 @@ pub fn residuals(
         }
     }
     eliminate_all(design.observations, brdf, weights, &mut values);
+    for (row, value) in rows.iter().zip(&mut values) {
+        if row.is_bound && value.iter().sum::<f32>() <= 0.0 {
+            *value = [0.0; 3];
+        }
+    }
     let noise = noise_level(design, weights, &values);
     Residuals { values, noise }
 }
@@ -164,7 +175,7 @@ fn noise_level(design: &Design<'_>, weights: &[f32], residuals: &[[f32; 3]]) -> 
     median(&mut magnitudes) / 0.888
 }
 
-/// Huber weights over the variance of each row.
+/// Huber weights over the variance of each row; none for bounds that are met.
 pub fn robust_weights(design: &Design<'_>, residuals: &Residuals) -> Vec<f32> {
     let floor = residuals.noise.max(1e-7);
     design
@@ -173,6 +184,9 @@ pub fn robust_weights(design: &Design<'_>, residuals: &Residuals) -> Vec<f32> {
         .iter()
         .zip(&residuals.values)
         .map(|(row, &r)| {
+            if row.is_bound && r == [0.0; 3] {
+                return 0.0;
+            }
             let s = deviation(floor, row.detail);
             let t = magnitude(r) / s;
             // Relative to the floor, so that weights are of order one.

@@ -52,13 +52,17 @@ fn has_coverage(view: &View) -> bool {
 
 fn within_outline(view: &View, surface: &ViewSurface) -> View {
     let photograph = &view.photograph;
-    let usable = photograph.usable.par_iter().enumerate();
-    let usable = usable.map(|(p, &usable)| usable && near(surface, p).all(|q| is_mesh(surface, q)));
+    let within = |pixels: &Vec<bool>| -> Vec<bool> {
+        let is_within = |p: usize| near(surface, p).all(|q| is_mesh(surface, q));
+        let pixels = pixels.par_iter().enumerate();
+        pixels.map(|(p, &of_use)| of_use && is_within(p)).collect()
+    };
     View {
         photograph: Arc::new(Photograph {
             radiance: photograph.radiance.clone(),
             coverage: None,
-            usable: usable.collect(),
+            usable: within(&photograph.usable),
+            clipped: photograph.clipped.as_ref().map(within),
             ..**photograph
         }),
         ..view.clone()

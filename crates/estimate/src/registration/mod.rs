@@ -120,6 +120,7 @@ impl Correction {
                 ref radiance,
                 ref coverage,
                 ref usable,
+                ref clipped,
                 crop,
             } = *view.photograph;
             let scaled = radiance
@@ -131,6 +132,7 @@ impl Correction {
                 radiance: scaled.collect(),
                 coverage: coverage.clone(),
                 usable: usable.clone(),
+                clipped: clipped.clone(),
                 crop,
             });
         }

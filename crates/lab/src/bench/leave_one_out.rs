@@ -292,6 +292,7 @@ mod tests {
             radiance: vec![[1.0; 3]; width * height],
             coverage: Some((0..width * height).map(covered).collect()),
             usable,
+            clipped: None,
             crop: None,
         };
         let inside = inside(&photograph);

@@ -259,6 +259,7 @@ mod tests {
                             .collect(),
                     ),
                     usable: vec![true; 200 * 200],
+                    clipped: None,
                     crop: None,
                 }),
             });

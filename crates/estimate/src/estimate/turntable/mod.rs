@@ -274,7 +274,7 @@ fn distance(near: Option<(Vec3, f32)>, direction: Vec3, position: Vec3) -> f32 {
 /// Whether light that stands still with the camera explains the diffuse part of points that had no say better than light that stands
 /// still with the object, beyond chance and by far.
 pub fn is_told(solver: &Solver<'_>) -> bool {
-    let observations = solver.colours(POINTS).to_gray();
+    let observations = solver.colours(POINTS).measured().to_gray();
     let halves = [0, 1].map(|first| observations.every(2, first));
     let grid = solver.grid.to_whole();
     let pyramid = Pyramid::new(&grid, FREQUENCY);
@@ -315,7 +315,7 @@ pub struct ByDiffuse<'o> {
 pub fn from_diffuse<'o>(solver: &Solver<'_>, occluder: &'o Occluder) -> ByDiffuse<'o> {
     let grid = solver.grid.to_whole();
     let pyramid = Pyramid::new(&grid, FREQUENCY);
-    let observations = solver.colours(POINTS).to_gray();
+    let observations = solver.colours(POINTS).measured().to_gray();
     let mut cells = pyramid.roots();
     let mut shading = Shading::of_cells(solver, &observations, &pyramid, &cells);
     let mut x = shading.light(None);
@@ -372,7 +372,7 @@ pub fn from_lights<'o>(
     let (grid, nodes) = (&found.grid, &found.radiance);
     let lamps = find_lamps(grid, nodes);
     let strays = rest(grid, nodes, &lamps);
-    let observations = solver.colours(POINTS).to_gray();
+    let observations = solver.colours(POINTS).measured().to_gray();
     let (small, large): (Vec<&Lamp>, Vec<&Lamp>) = (lamps.iter().chain(&strays))
         .partition(|lamp| lamp.angular_radius < LARGE && lamps.len() <= MOST_DISCS);
     let mut lights: Vec<Light> = (large.iter())
