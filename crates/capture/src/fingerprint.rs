@@ -120,6 +120,7 @@ mod tests {
                 radius: None,
                 frame: None,
             },
+            is_developed: false,
             brackets: None,
             warnings: Vec::new(),
         }

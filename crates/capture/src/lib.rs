@@ -138,6 +138,8 @@ pub struct Capture {
     pub mesh: Mesh,
     /// Where lights are sought.
     pub light_hemisphere: LightHemisphere,
+    /// Whether its photographs are single pictures of 8 bits, for each of which a camera may have chosen exposure and white balance.
+    pub is_developed: bool,
     /// How photographs of several exposures were merged, if there are any.
     pub brackets: Option<Brackets>,
     /// What a user should know of the input, in whole sentences.

@@ -109,6 +109,7 @@ impl Capture {
             views,
             mesh,
             light_hemisphere,
+            is_developed: tally.single_srgb == tally.pixels.len(),
             brackets,
             warnings,
         };

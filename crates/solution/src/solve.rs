@@ -16,11 +16,14 @@ use super::{
 use rekindle_base::math::rounding::round_to_halves;
 use rekindle_capture::{Camera, Capture, LightFrame, Mesh, View};
 use rekindle_estimate::estimate::{
-    Diagnostics, Estimate, EstimateInput, EstimateParams, GivenLight, Interim, Iteration, Observer,
-    Stopped, bears_out, estimate, estimate_under, stands_with_camera, watched,
+    ByLights, Diagnostics, Estimate, EstimateInput, EstimateParams, GivenLight, Interim, Iteration,
+    Observer, Stopped, bears_out, estimate, estimate_under, gains_by_lights, left_of_others,
+    stands_with_camera, watched,
 };
 use rekindle_estimate::preflight::misplacements;
-use rekindle_estimate::registration::{Correction, corrected, describe, register, within_outlines};
+use rekindle_estimate::registration::{
+    Correction, Registered, corrected, describe, register, within_outlines,
+};
 use rekindle_relight::{
     Albedo, Ambient, DiffuseTexture, GlossMap, Interreflection, LightOfViews, Lighting, Scene,
     Shader, Surroundings, ViewFit, ViewLight, filled_albedo, light_texture, reconstruct, separate,
@@ -567,7 +570,10 @@ impl Measured {
         (grid, params): (&HemisphereGrid, &EstimateParams),
         observer: &mut dyn Observer,
     ) -> Result<(Cow<'c, Capture>, Vec<Correction>), Stopped> {
-        let mut corrections = register(&stated.mesh, &stated.views, &self.surfaces, &self.occluder);
+        let Registered {
+            mut corrections,
+            are_even,
+        } = register(&stated.mesh, &stated.views, &self.surfaces, &self.occluder);
         let mut capture = corrected(stated, &corrections);
         if corrections.iter().any(Correction::turns) {
             self.surfaces = see(
@@ -582,19 +588,57 @@ impl Measured {
             // What differs between views is the light on them.
             corrections = corrections.iter().map(|c| c.of_camera()).collect();
             capture = corrected(stated, &corrections);
-        } else if corrections.iter().any(Correction::scales) {
-            let of_cameras: Vec<Correction> = corrections.iter().map(|c| c.of_camera()).collect();
-            let as_exposed = corrected(stated, &of_cameras);
+        } else if !are_even && (stated.is_developed || corrections.iter().any(Correction::scales)) {
             report(observer, EXPOSURES)?;
-            let [evened, stated] = [&capture, &as_exposed].map(|c| self.input(c, grid));
-            if !bears_out(&evened, &stated, params, observer)? {
-                (capture, corrections) = (as_exposed, of_cameras);
-            }
+            corrections = self.borne_out(stated, corrections, (grid, params), observer)?;
+            capture = corrected(stated, &corrections);
         }
         if corrections.iter().all(|c| *c == Correction::default()) {
             corrections.clear();
         }
         Ok((capture, corrections))
+    }
+}
+
+impl Measured {
+    /// Corrections of cameras, with those of exposures that lights bear out: as the views' medians have them, or as the lights themselves do.
+    fn borne_out(
+        &self,
+        stated: &Capture,
+        evened: Vec<Correction>,
+        (grid, params): (&HemisphereGrid, &EstimateParams),
+        observer: &mut dyn Observer,
+    ) -> Result<Vec<Correction>, Stopped> {
+        let of_cameras: Vec<Correction> = evened.iter().map(|c| c.of_camera()).collect();
+        let mut left = |corrections: &[Correction]| {
+            let capture = corrected(stated, corrections);
+            left_of_others(&self.input(&capture, grid), params, None, observer)
+        };
+        let mut best = (left(&of_cameras)?, of_cameras);
+        if evened.iter().any(Correction::scales) {
+            let evened = (left(&evened)?, evened);
+            if bears_out(&evened.0, &best.0) {
+                best = evened;
+            }
+        }
+        if !stated.is_developed {
+            return Ok(best.1);
+        }
+        let capture = corrected(stated, &best.1);
+        let input = self.input(&capture, grid);
+        if let Some(ByLights { gains, brdf, .. }) = gains_by_lights(&input, params, observer)? {
+            let own = best.1.iter().zip(gains).map(|(correction, gains)| {
+                let before = correction.gains();
+                correction.with_gains([0, 1, 2].map(|c| before[c] * gains[c]))
+            });
+            let own: Vec<Correction> = own.collect();
+            let capture = corrected(stated, &own);
+            let left = left_of_others(&self.input(&capture, grid), params, Some(brdf), observer)?;
+            if bears_out(&left, &best.0) {
+                best.1 = own;
+            }
+        }
+        Ok(best.1)
     }
 }
 

@@ -6,11 +6,18 @@
 
 use faer::linalg::solvers::Solve;
 use faer::{Col, Mat};
+use rayon::prelude::*;
 
+use std::ops::Range;
+
+use super::cells::Cell;
+use super::design::Design;
+use super::fast::Solver;
 use super::observations::{Point, Row};
-use super::state::State;
+use super::state::{ROUGH, State};
 use super::weights::transmitted_share;
 use rekindle_base::math::{centred, median};
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
 
 /// Only differences past this, or where there are any past the other, and past this many standard errors, are any.
 const LEAST: f64 = 0.003;
@@ -18,6 +25,10 @@ const LEAST_KNOWN: f64 = 0.001;
 const SURE: f64 = 5.0;
 /// Points at which more than this share of a row is specular say little: coarse cells are not where the lamps are.
 const MOST_SPECULAR: f32 = 0.1;
+/// Turns of lights and exposures at each of some roughnesses, radians, and what the latter change by in one at most.
+const TURNS: usize = 4;
+const SIGMAS: [f32; 3] = [0.13, 0.08, 0.05];
+const MOST_AT_ONCE: f64 = 0.3;
 /// Every view has to have this many rows.
 const ENOUGH: usize = 50;
 /// Exposures must account for this part of what is left over: where the model of light is not the object's, they take up some
@@ -27,7 +38,10 @@ const LEAST_EXPLAINED: f64 = 0.5;
 /// How much brighter each view is than the common scale, if any differs; `views` is how many there are. Where exposures are
 /// `known` to differ, this is how much is left of that.
 pub fn differing(state: &State<'_>, views: usize, known: bool) -> Option<Vec<f64>> {
-    let (excess, errors, explained) = excess(state, views)?;
+    let observations = state.design.observations;
+    let points = observations.points.iter();
+    let diffuse: Vec<&Point> = points.filter(|point| is_diffuse(state, point)).collect();
+    let (excess, errors, explained) = excess(state, views, &diffuse, 0..3)?;
     let least = if known { LEAST_KNOWN } else { LEAST };
     let differs = |(a, e): (&f64, &f64)| a.abs() > least.max(SURE * e);
     let matters = known || explained > LEAST_EXPLAINED;
@@ -43,34 +57,111 @@ pub fn together(before: &[f64], mut factors: Vec<f64>) -> Vec<f64> {
     factors
 }
 
-/// The excess a of each view, its standard error, with one group a point, and the part of the weighted squared residuals
-/// that goes away with it.
-fn excess(state: &State<'_>, views: usize) -> Option<(Vec<f64>, Vec<f64>, f64)> {
-    let observations = state.design.observations;
-    let diffuse: Vec<&Point> = observations
-        .points
-        .iter()
-        .filter(|point| {
-            point.rows.clone().all(|k| {
-                let specular: f32 = state.specular(k).iter().sum();
-                let all: f32 = observations.rows[k].radiance.iter().sum();
-                specular <= MOST_SPECULAR * all
-            })
-        })
-        .collect();
+/// How much brighter each view is than most of them in each channel, RGB, and the lobe with which lights then explain them best; `None`
+/// where some views share too little with others.
+///
+/// A polished surface shows little that is the same in all views but the lights themselves, and which lobe it has shows once views are
+/// evened: both are sought together, each lobe at roughnesses from the widest on.
+pub fn by_lights(solver: &Solver<'_>, models: &[SpecularModel]) -> Option<ByLights> {
+    let colours = solver.coarse_colours();
+    let roots = solver.pyramid.roots();
+    // Shadows would pass for dark views; those of the widest lobe hold for others.
+    let widest = Brdf::new(models[0], SIGMAS[0]);
+    let shadowed = solver.shadowed_design(&colours, &roots, &widest);
+    let of_model = |&model: &SpecularModel| {
+        let mut best: Option<ByLights> = None;
+        let mut gains = vec![[1.0; 3]; solver.seen.views.len()];
+        for sigma in SIGMAS {
+            let brdf = Brdf::new(model, sigma);
+            let left = taken_in_turns(&shadowed, &roots, brdf, &mut gains)?;
+            if best.as_ref().is_none_or(|best| left < best.left) {
+                let gains = gains.clone();
+                best = Some(ByLights { gains, brdf, left });
+            }
+        }
+        best
+    };
+    let found: Vec<ByLights> = models.par_iter().filter_map(of_model).collect();
+    found.into_iter().min_by(|a, b| a.left.total_cmp(&b.left))
+}
+
+/// Exposures that lights say.
+pub struct ByLights {
+    /// How much brighter each view is than most in each channel, RGB.
+    pub gains: Vec<[f64; 3]>,
+    /// The lobe that leaves least then.
+    pub brdf: Brdf,
+    /// What it leaves.
+    left: f64,
+}
+
+/// Lets lights and the views' gains take turns under a lobe; what they leave then.
+fn taken_in_turns(
+    shadowed: &Design<'_>,
+    cells: &[Cell],
+    brdf: Brdf,
+    gains: &mut [[f64; 3]],
+) -> Option<f64> {
+    let mut left = f64::INFINITY;
+    let mut radiance = vec![[0.0; 3]; cells.len()];
+    for turn in 0..TURNS {
+        let evened = shadowed.observations.divided(gains);
+        let design = Design {
+            observations: &evened,
+            ..shadowed.clone()
+        };
+        let mut state = State::new(design, cells.to_vec(), brdf);
+        if turn > 0 {
+            state.light_by(&radiance);
+            state.reweight();
+        }
+        state.solve_lights(ROUGH);
+        left = state.unexplained();
+        let all: Vec<&Point> = evened.points.iter().collect();
+        for channel in 0..3 {
+            let (excess, ..) = excess(&state, gains.len(), &all, channel..channel + 1)?;
+            for (gain, excess) in gains.iter_mut().zip(excess) {
+                gain[channel] *= 1.0 + excess.clamp(-MOST_AT_ONCE, MOST_AT_ONCE);
+            }
+        }
+        radiance = state.radiance;
+    }
+    Some(left)
+}
+
+/// Whether little of any of a point's rows is specular.
+fn is_diffuse(state: &State<'_>, point: &Point) -> bool {
+    point.rows.clone().all(|k| {
+        let specular: f32 = state.specular(k).iter().sum();
+        let all: f32 = state.design.observations.rows[k].radiance.iter().sum();
+        specular <= MOST_SPECULAR * all
+    })
+}
+
+/// The excess a of each view in some channels, as some points say, its standard error, with one group a point, and the part of the
+/// weighted squared residuals that goes away with it.
+fn excess(
+    state: &State<'_>,
+    views: usize,
+    points: &[&Point],
+    channels: Range<usize>,
+) -> Option<(Vec<f64>, Vec<f64>, f64)> {
+    let inner = |point: &Point, column: &[[f32; 3]], values: &dyn Fn(usize) -> [f32; 3]| {
+        inner(state, (point, channels.clone()), column, values)
+    };
     let mut counts = vec![0; views];
     let mut gram = Mat::<f64>::zeros(views, views);
     let mut right = vec![0.0; views];
     let mut squares = 0.0;
-    for point in &diffuse {
+    for point in points {
         let columns = columns(state, point);
         let all = &state.residuals.values[point.rows.clone()];
-        squares += inner(state, point, all, |k| state.residuals.values[k]);
+        squares += inner(point, all, &|k| state.residuals.values[k]);
         for (j, (view, column)) in columns.iter().enumerate() {
             counts[*view] += 1;
-            right[*view] += inner(state, point, column, |k| state.residuals.values[k]);
+            right[*view] += inner(point, column, &|k| state.residuals.values[k]);
             for (other, second) in &columns[..=j] {
-                let product = inner(state, point, column, |k| second[k - point.rows.start]);
+                let product = inner(point, column, &|k| second[k - point.rows.start]);
                 gram[(*view, *other)] += product;
                 if view != other {
                     gram[(*other, *view)] += product;
@@ -84,7 +175,7 @@ fn excess(state: &State<'_>, views: usize) -> Option<(Vec<f64>, Vec<f64>, f64)> 
     let factor = centred::factor(&gram)?;
     let solution = factor.solve(&Col::from_fn(views, |v| right[v]));
     let mut spread = Mat::<f64>::zeros(views, views);
-    for point in &diffuse {
+    for point in points {
         let columns = columns(state, point);
         let left = |k: usize| {
             let mut left = state.residuals.values[k];
@@ -97,7 +188,7 @@ fn excess(state: &State<'_>, views: usize) -> Option<(Vec<f64>, Vec<f64>, f64)> 
         };
         let pulls: Vec<(usize, f64)> = columns
             .iter()
-            .map(|(view, column)| (*view, inner(state, point, column, left)))
+            .map(|(view, column)| (*view, inner(point, column, &left)))
             .collect();
         for &(i, a) in &pulls {
             for &(j, b) in &pulls {
@@ -142,19 +233,20 @@ fn columns(state: &State<'_>, point: &Point) -> Vec<(usize, Vec<[f32; 3]>)> {
         .collect()
 }
 
-/// Weighted product of a column and values of a point's rows.
+/// Weighted product of a column and values of a point's rows in some channels.
 fn inner(
     state: &State<'_>,
-    point: &Point,
+    (point, channels): (&Point, Range<usize>),
     column: &[[f32; 3]],
-    values: impl Fn(usize) -> [f32; 3],
+    values: &dyn Fn(usize) -> [f32; 3],
 ) -> f64 {
     point
         .rows
         .clone()
         .zip(column)
         .map(|(k, c)| {
-            let product: f32 = c.iter().zip(values(k)).map(|(c, v)| c * v).sum();
+            let values = values(k);
+            let product: f32 = channels.clone().map(|i| c[i] * values[i]).sum();
             f64::from(state.weights[k] * product)
         })
         .sum()

@@ -30,6 +30,8 @@ const ENOUGH: usize = 2000;
 /// Prices of light that are tried, in standard deviations of the residuals; see [`Precision::price`]. Without any, cells by the
 /// hundred are lit by what the model leaves out, and drown the few lights that there are.
 const PRICES: [f64; 4] = [16.0, 8.0, 4.0, 2.0];
+/// A point's radiance below which what is left there is not compared with it but with this, as a part of the mean radiance.
+const DARK: f32 = 0.1;
 /// Standard deviations of noise by which explanations differ at a point that can tell between them.
 const TELLING: f64 = 1.0;
 
@@ -217,7 +219,7 @@ fn in_radiance(design: &Design<'_>) -> Vec<f32> {
     let Observations { points, rows, .. } = design.observations;
     let mean = |own: &[Row]| {
         let sum: f32 = own.iter().map(|row| magnitude(row.radiance)).sum();
-        (sum / own.len() as f32).max(f32::MIN_POSITIVE)
+        (sum / own.len() as f32).max(DARK)
     };
     let of_points = points.iter().map(|point| &rows[point.rows.clone()]);
     of_points

@@ -58,6 +58,8 @@ use rekindle_scene::surface::{GlossParts, Occluder, ViewSurface};
 use alternating::{Order, Terms};
 use cells::Pyramid;
 use course::{Ending, Outcome, Rules};
+pub use exposures::ByLights;
+use exposures::by_lights;
 use fast::{Fit, Solver, Watch};
 use held_out::relatively_left_out;
 pub use known_light::{GivenLight, UnderGivenLight, estimate_under};
@@ -231,23 +233,75 @@ pub fn estimate(
     })
 }
 
-/// Whether lights found in views as `evened` has them predict views left out better, beyond chance, than lights found in them as
-/// `stated` has them: what a polished surface mirrors differs from view to view as if these were exposed differently.
-pub fn bears_out(
-    evened: &EstimateInput<'_>,
-    stated: &EstimateInput<'_>,
+/// What lights found in some views leave of the others, at each of many points and as a part of its radiance: where views are exposed
+/// alike it is less. With a lobe, or with one that fits.
+pub fn left_of_others(
+    input: &EstimateInput<'_>,
+    params: &EstimateParams,
+    lobe: Option<Brdf>,
+    observer: &mut dyn Observer,
+) -> Result<Vec<f64>, Stopped> {
+    with_reduced(input, params, observer, |solver, watch| {
+        if let Some(lobe) = lobe {
+            return Ok(relatively_left_out(solver, &solver.dark_roots(lobe)));
+        }
+        // Any will do to see whether views agree on lights.
+        let model = match params.specular {
+            SpecularChoice::Model(model) => model,
+            SpecularChoice::Auto => SpecularModel::Paper,
+        };
+        let fit = course::asked_for(solver, model, watch)?;
+        Ok(relatively_left_out(solver, &fit.state))
+    })
+}
+
+/// Whether lights found in views that are evened out predict others better, beyond chance, than lights found in them as they were: what a
+/// polished surface mirrors differs from view to view as if these were exposed differently. Both as [`left_of_others`] has it.
+pub fn bears_out(evened: &[f64], before: &[f64]) -> bool {
+    signed_ranks(before, evened) > SURE
+}
+
+/// How much brighter each view is than most of them in each channel, RGB, as that fits lights best, and the lobe with which it does;
+/// `None` where some views share too little with others.
+pub fn gains_by_lights(
+    input: &EstimateInput<'_>,
     params: &EstimateParams,
     observer: &mut dyn Observer,
-) -> Result<bool, Stopped> {
+) -> Result<Option<ByLights>, Stopped> {
+    with_reduced(input, params, observer, |solver, _| {
+        Ok(match params.specular {
+            SpecularChoice::Model(model) => by_lights(solver, &[model]),
+            // One without a diffuse part and one with it.
+            SpecularChoice::Auto => by_lights(solver, &[SpecularModel::Metal, SpecularModel::Ggx]),
+        })
+    })
+}
+
+/// Asks something of a solver of no more pixels than lights need, without anybody told of its steps.
+fn with_reduced<R: Send>(
+    input: &EstimateInput<'_>,
+    params: &EstimateParams,
+    observer: &mut dyn Observer,
+    ask: impl FnOnce(&Solver<'_>, &mut Watch<'_>) -> Result<R, Stopped> + Send,
+) -> Result<R, Stopped> {
     watched(observer, |watcher| {
-        let mut left = [Vec::new(), Vec::new()];
-        for (left, input) in left.iter_mut().zip([stated, evened]) {
-            *left = match Reduced::of(input) {
-                Some(reduced) => left_of_views(&reduced.input(input), params, watcher)?,
-                None => left_of_views(input, params, watcher)?,
-            };
+        let stop = watcher.stop();
+        let reduced = Reduced::of(input);
+        let input = reduced.as_ref().map_or(*input, |r| r.input(input));
+        let pyramid = Pyramid::new(input.grid, fast::COARSEST);
+        let (shortcuts, workspace) = (Shortcuts::without(params.avoided), Workspace::new());
+        let with = (&shortcuts, &workspace);
+        let now = Instant::now();
+        let solver = Solver::new(&input, params.sigma, &pyramid, with, None, now, stop);
+        let mut watch = Watch {
+            iterations: &mut Vec::new(),
+            observer: &mut Unobserved,
+        };
+        let answer = ask(&solver, &mut watch)?;
+        if stop.load(Ordering::Relaxed) {
+            return Err(Stopped);
         }
-        Ok(signed_ranks(&left[0], &left[1]) > SURE)
+        Ok(answer)
     })
 }
 
@@ -277,42 +331,6 @@ pub fn stands_with_camera(
         }
         Ok(told)
     })
-}
-
-/// What the lights of the other views leave of each view, at each of many points and as a part of its radiance.
-fn left_of_views(
-    input: &EstimateInput<'_>,
-    params: &EstimateParams,
-    watcher: &Watcher<'_>,
-) -> Result<Vec<f64>, Stopped> {
-    let stop = watcher.stop();
-    let pyramid = Pyramid::new(input.grid, fast::COARSEST);
-    let (shortcuts, workspace) = (Shortcuts::without(params.avoided), Workspace::new());
-    let with = (&shortcuts, &workspace);
-    let solver = Solver::new(
-        input,
-        params.sigma,
-        &pyramid,
-        with,
-        None,
-        Instant::now(),
-        stop,
-    );
-    let mut watch = Watch {
-        iterations: &mut Vec::new(),
-        observer: &mut Unobserved,
-    };
-    // Any lobe will do to see whether views agree on lights.
-    let model = match params.specular {
-        SpecularChoice::Model(model) => model,
-        SpecularChoice::Auto => SpecularModel::Paper,
-    };
-    let fit = course::asked_for(&solver, model, &mut watch)?;
-    let left = relatively_left_out(&solver, &fit.state);
-    if stop.load(Ordering::Relaxed) {
-        return Err(Stopped);
-    }
-    Ok(left)
 }
 
 /// Pixels of the object in the largest of the views from which on these are looked at in fewer: lights of pictures with 0.1 to 12

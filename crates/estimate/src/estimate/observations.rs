@@ -251,6 +251,18 @@ impl Observations {
         (without, places)
     }
 
+    /// The same with each view divided by how much too bright it is in each channel.
+    #[must_use]
+    pub fn divided(&self, gains: &[[f64; 3]]) -> Self {
+        let mut divided = self.clone();
+        for row in &mut divided.rows {
+            let gain = gains[row.view].map(|gain| gain as f32);
+            row.radiance = std::array::from_fn(|c| row.radiance[c] / gain[c]);
+            row.detail /= gain.iter().sum::<f32>() / 3.0;
+        }
+        divided
+    }
+
     /// The same without the rows that are bounds only.
     #[must_use]
     pub fn measured(&self) -> Self {

@@ -97,9 +97,15 @@ impl Correction {
         }
     }
 
-    fn set_gains(&mut self, gains: [f64; 3]) {
-        self.exposure = (gains[0] * gains[1] * gains[2]).cbrt();
-        self.balance = gains.map(|gain| gain / self.exposure);
+    /// The same where the photograph is so much too bright in each channel.
+    #[must_use]
+    pub fn with_gains(self, gains: [f64; 3]) -> Self {
+        let exposure = (gains[0] * gains[1] * gains[2]).cbrt();
+        Self {
+            turn_deg: self.turn_deg,
+            exposure,
+            balance: gains.map(|gain| gain / exposure),
+        }
     }
 
     fn rotation(&self) -> DQuat {
@@ -163,14 +169,22 @@ pub fn evened<'a>(capture: &'a Capture, exposures: &[f64]) -> Cow<'a, Capture> {
     corrected(capture, &exposures.iter().map(of).collect::<Vec<_>>())
 }
 
-/// Finds what has to be corrected, one a view; `surfaces` are what the stated cameras see. Exposures that differ may as well be what a
-/// glossy surface mirrors: lights have to bear them out.
+/// What views differ in from the mesh and each other.
+pub struct Registered {
+    /// What has to be corrected, one a view.
+    pub corrections: Vec<Correction>,
+    /// Whether they seem to be exposed alike.
+    pub are_even: bool,
+}
+
+/// Finds what has to be corrected; `surfaces` are what the stated cameras see. Exposures that differ may as well be what a glossy surface
+/// mirrors: lights have to bear them out, and may tell them where the views' medians don't.
 pub fn register(
     mesh: &Mesh,
     views: &[View],
     surfaces: &[ViewSurface],
     occluder: &Occluder,
-) -> Vec<Correction> {
+) -> Registered {
     let before = Agreement::new(mesh, views, surfaces, POINTS);
     let mut corrections = vec![Correction::default(); views.len()];
     let mut agreement = &before;
@@ -182,17 +196,21 @@ pub fn register(
         agreement = after;
     }
     let differ = |gain: &f64| gain.ln().abs() > LEAST_RATIO.ln();
-    if let Some(gains) = agreement.gains()
-        && gains.as_flattened().iter().any(differ)
-    {
+    let gains = agreement.gains();
+    let gains = gains.filter(|gains| gains.as_flattened().iter().any(differ));
+    let are_even = gains.is_none();
+    if let Some(gains) = gains {
         let left = agreement.evened(&gains).disagreement();
         if left < MOST_LEFT * agreement.disagreement() {
             for (correction, gains) in corrections.iter_mut().zip(gains) {
-                correction.set_gains(gains);
+                *correction = correction.with_gains(gains);
             }
         }
     }
-    corrections
+    Registered {
+        corrections,
+        are_even,
+    }
 }
 
 /// Turns of the cameras, degrees about world axes, with how the views agree after them; `None` if all stay where they are.

@@ -14,7 +14,7 @@ fn registered(capture: &Capture) -> Vec<Correction> {
     let occluder = Occluder::new(&capture.mesh);
     let see = |view: &View| ViewSurface::new(&capture.mesh, &occluder, &view.camera);
     let surfaces: Vec<ViewSurface> = capture.views.iter().map(see).collect();
-    register(&capture.mesh, &capture.views, &surfaces, &occluder)
+    register(&capture.mesh, &capture.views, &surfaces, &occluder).corrections
 }
 
 /// Turns each camera by `degrees` about an axis of its own.

@@ -12,7 +12,9 @@ use tempfile::TempDir;
 use super::*;
 use crate::bench::{FoundLamp, Measures, Truth};
 use rekindle_capture::{Capture, Mesh, Origin, View, read_cameras, read_covered};
-use rekindle_estimate::estimate::{EstimateInput, EstimateParams, Unobserved, bears_out, estimate};
+use rekindle_estimate::estimate::{
+    EstimateInput, EstimateParams, Unobserved, bears_out, estimate, gains_by_lights, left_of_others,
+};
 use rekindle_estimate::preflight::{self, Severity};
 use rekindle_estimate::registration::evened;
 use rekindle_output::export::{Photographer, Renderer};
@@ -556,10 +558,11 @@ fn exposures_have_to_be_borne_out_by_lights() {
     let other = evened(&capture, &factors);
     let is_borne_out = |[evened, stated]: [&Capture; 2]| {
         on_grid(&capture, |input| {
-            let [evened, stated] =
-                [evened, stated].map(|capture| EstimateInput { capture, ..*input });
-            let params = EstimateParams::default();
-            bears_out(&evened, &stated, &params, &mut Unobserved).unwrap()
+            let [evened, stated] = [evened, stated].map(|capture| {
+                let input = EstimateInput { capture, ..*input };
+                left_of_others(&input, &EstimateParams::default(), None, &mut Unobserved).unwrap()
+            });
+            bears_out(&evened, &stated)
         })
     };
     assert!(is_borne_out([&capture, &other]));
