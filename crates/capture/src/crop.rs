@@ -399,6 +399,7 @@ mod tests {
                 radius: None,
                 frame: None,
             },
+            is_developed: false,
             brackets: None,
             warnings: Vec::new(),
         };
