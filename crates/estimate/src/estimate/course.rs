@@ -100,12 +100,23 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
 /// Whether normals may be off by what a coarse fit leaves, and not by what coarse cells do: a narrow lobe shows more of the lights than these
 /// hold, so they are split once.
 fn blames_normals(solver: &Solver<'_>, coarse: &State<'_>) -> Result<bool, Stopped> {
-    if !diagnose::blames_normals(coarse) {
-        return Ok(false);
-    }
+    Ok(diagnose::blames_normals(coarse) && on_split(solver, coarse, diagnose::blames_normals)?)
+}
+
+/// Whether gloss may differ from place to place by what a coarse fit leaves, and not by what coarse cells do.
+fn leaves_much(solver: &Solver<'_>, coarse: &State<'_>) -> Result<bool, Stopped> {
+    Ok(diagnose::leaves_much(coarse) && on_split(solver, coarse, diagnose::leaves_much)?)
+}
+
+/// Something asked of a coarse fit's lights where they are split once.
+fn on_split(
+    solver: &Solver<'_>,
+    coarse: &State<'_>,
+    is_so: fn(&State<'_>) -> bool,
+) -> Result<bool, Stopped> {
     let observations = solver.middle_observations(coarse).to_gray();
     let split = improved(solver, solver.refine(coarse, &observations))?;
-    Ok(diagnose::blames_normals(&split))
+    Ok(is_so(&split))
 }
 
 /// The lights of a state on cells that are split once, improved by a few steps.
@@ -430,7 +441,7 @@ fn patches(
     watch: &mut Watch<'_>,
 ) -> Result<Patches, Stopped> {
     let is_provisional = solver.is_provisional();
-    if is_provisional || !diagnose::leaves_much(&coarse.state) || watch.observer.enough() {
+    if is_provisional || watch.observer.enough() || !leaves_much(solver, &coarse.state)? {
         return Ok(Patches::None);
     }
     let Some(strengths) = solver.strengths(watch)? else {
