@@ -327,6 +327,24 @@ mod tests {
     }
 
     #[test]
+    fn a_block_with_a_clipped_pixel_is_at_least_as_bright_as_its_mean() {
+        let mut whole = photograph([8, 4], &[0..8, 0..4]);
+        // One pixel of the first block is clipped, one of the second no data, and one of the third either.
+        let mut clipped = vec![false; 32];
+        for (pixel, is_clipped) in [(1, true), (2, false), (4, true), (5, false)] {
+            whole.usable[pixel] = false;
+            clipped[pixel] = is_clipped;
+        }
+        whole.clipped = Some(clipped);
+        let blocks = whole.in_blocks(2);
+        assert_eq!(blocks.usable[..4], [false, false, false, true]);
+        let is_clipped: Vec<bool> = (0..8).map(|i| blocks.is_clipped(i)).collect();
+        assert_eq!(is_clipped[..4], [true, false, false, false]);
+        assert_eq!(blocks.radiance[0], [0.5, 0.5, 1.0]);
+        assert_eq!(blocks.radiance[1], [0.0; 3]);
+    }
+
+    #[test]
     fn of_many_views_blocks_are_kept_that_show_where_they_were() {
         let whole = photograph([4000, 3000], &[800..2800, 200..2700]);
         let alone = Kept::Shared(6).of(whole.clone());

@@ -376,7 +376,7 @@ pub struct PixelCounts {
     pub masked: usize,
     /// Not finite: left out.
     pub non_finite: usize,
-    /// At full scale in every exposure: left out.
+    /// At full scale in every exposure: how bright they are at least is kept.
     pub saturated: usize,
     /// Far brighter than all about them: left out.
     pub isolated: usize,
@@ -431,7 +431,7 @@ impl Tally {
         }
         if let Some(list) = self.list(|counts| counts.saturated) {
             warnings.push(format!(
-                "Saturated and left out: {list}. Highlights there are lost; take shorter exposures too."
+                "Saturated: {list}. They say only how bright highlights are at least; take shorter exposures too."
             ));
         }
         if let Some(list) = self.list(|counts| counts.isolated) {

@@ -613,6 +613,32 @@ fn black_in_a_mask_is_ignored() {
     }
 }
 
+#[test]
+fn clipped_pixels_keep_the_least_that_they_can_be() {
+    let mut fixture = Fixture::new();
+    let folder = fixture.folder.path().to_owned();
+    let pixels = |shown: &dyn Fn(u32) -> u8| -> Vec<u8> {
+        (0..3 * SIZE.0 * SIZE.1).map(|i| shown(i / 3)).collect()
+    };
+    // The first two pixels are clipped, the first of them outside the mask.
+    let photograph = pixels(&|i| if i < 2 { 255 } else { 128 });
+    let mask = pixels(&|i| if i == 0 { 0 } else { 255 });
+    for (name, pixels) in [("photograph.png", photograph), ("mask.png", mask)] {
+        let path = folder.join(name);
+        image::save_buffer(path, &pixels, SIZE.0, SIZE.1, image::ColorType::Rgb8).expect("png");
+    }
+    fixture.manifest["frames"][0]["file_path"] = json!("photograph.png");
+    fixture.manifest["frames"][0]["mask_path"] = json!("mask.png");
+    let photograph = fixture.loaded().views.remove(0).photograph;
+    let clipped: Vec<usize> = (0..photograph.usable.len())
+        .filter(|&i| photograph.is_clipped(i))
+        .collect();
+    assert_eq!(clipped, [1]);
+    assert!(!photograph.usable[1]);
+    assert_eq!(photograph.radiance[1], [1.0; 3]);
+    assert_eq!(photograph.radiance[0], [0.0; 3]);
+}
+
 /// Writes a float EXR whose pixel `i` is `pixel(i)`.
 fn write_exr(path: &Path, pixel: impl Fn(usize) -> [f32; 4] + Sync) {
     exr::prelude::write_rgba_file(path, SIZE.0 as usize, SIZE.1 as usize, |x, y| {

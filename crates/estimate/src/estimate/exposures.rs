@@ -82,7 +82,15 @@ pub fn by_lights(solver: &Solver<'_>, models: &[SpecularModel]) -> Option<ByLigh
         best
     };
     let found: Vec<ByLights> = models.par_iter().filter_map(of_model).collect();
-    found.into_iter().min_by(|a, b| a.left.total_cmp(&b.left))
+    let mut best = found.into_iter().min_by(|a, b| a.left.total_cmp(&b.left))?;
+    for channel in 0..3 {
+        let mut all: Vec<f64> = best.gains.iter().map(|gain| gain[channel]).collect();
+        let most = median(&mut all)?;
+        for gain in &mut best.gains {
+            gain[channel] /= most;
+        }
+    }
+    Some(best)
 }
 
 /// Exposures that lights say.

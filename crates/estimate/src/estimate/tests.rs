@@ -11,10 +11,11 @@ use std::time::{Duration, Instant};
 use glam::{DVec3, Vec3};
 
 use super::cells::{Cell, Pyramid};
-use super::design::Design;
+use super::design::{Design, Prediction};
 use super::observations::{Observations, Point, Row};
 use super::state::{EXACT, State};
 use super::visibility::SeenCells;
+use super::weights::{initial_weights, residuals, robust_weights};
 use super::*;
 use rekindle_capture::read_radiance;
 use rekindle_scene::hemisphere::{Lamp, find_lamps};
@@ -384,6 +385,67 @@ fn the_scale_of_the_images_only_scales_the_lights() {
             );
         }
     }
+}
+
+/// The capture with what is brighter than all but a part of the views' pixels clipped.
+fn clipped(mut capture: Capture, part: f64) -> Capture {
+    for view in &mut capture.views {
+        let photograph = Arc::make_mut(&mut view.photograph);
+        let brightness = |pixel: &[f32; 3]| pixel.iter().copied().fold(0.0, f32::max);
+        let mut levels: Vec<f32> = photograph.radiance.iter().map(brightness).collect();
+        levels.retain(|&level| level > 0.0);
+        levels.sort_by(f32::total_cmp);
+        let full = levels[((levels.len() - 1) as f64 * (1.0 - part)) as usize];
+        let is_full: Vec<bool> = (photograph.radiance.iter())
+            .map(|pixel| brightness(pixel) >= full)
+            .collect();
+        for (i, pixel) in photograph.radiance.iter_mut().enumerate() {
+            *pixel = pixel.map(|value| value.min(full));
+            photograph.usable[i] &= !is_full[i];
+        }
+        photograph.clipped = Some(is_full);
+    }
+    capture
+}
+
+#[test]
+fn what_is_clipped_is_no_less_bright_for_that() {
+    let fluxes = |capture: &Capture| {
+        let found = fast(capture);
+        let lamps = find_lamps(&found.grid, &found.radiance);
+        LAMPS.map(|direction| {
+            let near = lamps.iter().filter(|l| l.direction.dot(direction) > 0.99);
+            near.map(|l| l.flux[1]).sum::<f32>()
+        })
+    };
+    let whole = fluxes(&load());
+    let lost = fluxes(&clipped(load(), 0.12));
+    for (lost, whole) in lost.into_iter().zip(whole) {
+        assert!((lost / whole - 1.0).abs() < 0.01, "{lost} of {whole}");
+    }
+}
+
+#[test]
+fn a_bound_has_a_say_only_where_it_is_not_met() {
+    let mut observations = bare_observations(1, &mut Random(1));
+    observations.rows[2].is_bound = true;
+    observations.rows[2].radiance = [0.5; 3];
+    let grid = HemisphereGrid::new(4, Vec3::Z, None, Vec3::ZERO);
+    let design = design(&observations, &Pyramid::new(&grid, 4), &[]);
+    let brdf = Brdf::new(SpecularModel::Paper, 0.1);
+    let weights = initial_weights(&design);
+    assert_eq!(weights[2], 0.0, "nothing contradicts it yet");
+    let under = |specular: f32| {
+        let mut value = vec![[0.0; 3]; observations.rows.len()];
+        value[2] = [specular; 3];
+        let by_sigma = Vec::new();
+        let prediction = Prediction { value, by_sigma };
+        let left = residuals(&design, &brdf, &weights, &prediction);
+        (left.values[2], robust_weights(&design, &left)[2])
+    };
+    let (left, weight) = under(0.2);
+    assert!(left.iter().all(|&v| (v - 0.3).abs() < 1e-6) && weight > 0.0);
+    assert_eq!(under(0.8), ([0.0; 3], 0.0));
 }
 
 #[test]

@@ -565,6 +565,18 @@ fn exposures_have_to_be_borne_out_by_lights() {
             bears_out(&evened, &stated)
         })
     };
+    let found = on_grid(&capture, |input| {
+        let input = EstimateInput {
+            capture: &other,
+            ..*input
+        };
+        gains_by_lights(&input, &EstimateParams::default(), &mut Unobserved).unwrap()
+    });
+    for (gains, factor) in found.unwrap().gains.iter().zip(factors) {
+        for gain in gains {
+            assert!((gain * factor - 1.0).abs() < 0.04, "{gain} for {factor}");
+        }
+    }
     assert!(is_borne_out([&capture, &other]));
     assert!(!is_borne_out([&other, &capture]));
     assert!(!is_borne_out([&capture, &capture]));
