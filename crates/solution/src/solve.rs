@@ -598,9 +598,7 @@ impl Measured {
         }
         Ok((capture, corrections))
     }
-}
 
-impl Measured {
     /// Corrections of cameras, with those of exposures that lights bear out: as the views' medians have them, or as the lights themselves do.
     fn borne_out(
         &self,
