@@ -5,6 +5,8 @@
 //! below the horizon are taken in where they explain clearly more. That alone would mislead: more cells explain normals and
 //! cameras that are off as well. But then they don't predict views that had no say in them better.
 
+use std::sync::OnceLock;
+
 use super::cells::Pyramid;
 use super::course::explains_better;
 use super::fast::{COARSEST, CoarseFit, Solver};
@@ -33,6 +35,7 @@ impl AllAround {
             grid: &self.grid,
             pyramid: &self.pyramid,
             coarse: other.coarse.clone(),
+            coarse_sees: OnceLock::new(),
             ..*other
         }
     }

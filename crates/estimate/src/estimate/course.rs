@@ -356,6 +356,7 @@ fn end(
         let bounded = Solver {
             sigma: Some(middle),
             coarse: solver.coarse.clone(),
+            coarse_sees: solver.coarse_sees.clone(),
             ..*solver
         };
         let model = coarse.state.brdf.model;

@@ -65,9 +65,8 @@ pub fn together(before: &[f64], mut factors: Vec<f64>) -> Vec<f64> {
 pub fn by_lights(solver: &Solver<'_>, models: &[SpecularModel]) -> Option<ByLights> {
     let colours = solver.coarse_colours();
     let roots = solver.pyramid.roots();
-    // Shadows would pass for dark views; those of the widest lobe hold for others.
-    let widest = Brdf::new(models[0], SIGMAS[0]);
-    let shadowed = solver.shadowed_design(&colours, &roots, &widest);
+    // Shadows would pass for dark views.
+    let shadowed = solver.coarse_design(&colours);
     let of_model = |&model: &SpecularModel| {
         let mut best: Option<ByLights> = None;
         let mut gains = vec![[1.0; 3]; solver.seen.views.len()];

@@ -86,6 +86,9 @@ const GLOSS_ROUNDS: usize = 3;
 /// Parts that differ by less from those before, in the mean, are settled.
 const SAME_GLOSS: f32 = 0.02;
 
+/// A lobe that reaches everything that any other does.
+const WIDEST: Brdf = Brdf::new(SpecularModel::Ggx, 0.5);
+
 /// A lobe below this share of its peak says nothing worth a row.
 const LEAST_LOBE: f32 = 0.02;
 
@@ -139,6 +142,8 @@ pub struct Solver<'a> {
     pub near: Option<(Vec3, f32)>,
     /// Points spread over everything seen, in gray.
     pub coarse: Observations,
+    /// What these see of the coarsest cells, once that has been asked.
+    pub coarse_sees: OnceLock<SeenCells>,
     /// The clock that iterations are timed by.
     pub started: Instant,
     /// What may be left out.
@@ -221,6 +226,7 @@ impl<'a> Solver<'a> {
             pyramid,
             near: input.grid.radius.map(|r| (input.grid.centre, r)),
             coarse: Self::coarse_observations(&seen, None, stop),
+            coarse_sees: OnceLock::new(),
             started,
             shortcuts,
             workspace,
@@ -325,8 +331,8 @@ impl Solver<'_> {
 
     /// The coarsest cells, unlit.
     pub fn dark_roots(&self, brdf: Brdf) -> State<'_> {
-        let roots = self.pyramid.roots();
-        State::new(self.design(&self.coarse, &roots), roots, brdf)
+        let design = self.coarse_design(&self.coarse);
+        State::new(design, self.pyramid.roots(), brdf)
     }
 
     /// Improves a coarse fit by a few steps. These may leave more unexplained than was before them, which does not count against
@@ -677,6 +683,21 @@ impl Solver<'_> {
         let mut design = self.design(observations, cells);
         design.seen = cell_visibility(&design, self.pyramid, cells, brdf, self.occluder);
         design
+    }
+
+    /// A design of the coarsest cells that knows which of them the coarse points see, whatever the lobe. `observations` are these points,
+    /// whatever they show.
+    pub fn coarse_design<'s>(&'s self, observations: &'s Observations) -> Design<'s> {
+        let roots = self.pyramid.roots();
+        let mut design = self.design(observations, &roots);
+        let sees = || self.sees(&design, &roots);
+        design.seen = self.coarse_sees.get_or_init(sees).clone();
+        design
+    }
+
+    /// What the points of a design see of its cells, whatever the lobe.
+    pub fn sees(&self, design: &Design<'_>, cells: &[Cell]) -> SeenCells {
+        cell_visibility(design, self.pyramid, cells, &WIDEST, self.occluder)
     }
 
     /// Splits lit cells and those beside them, drops dark ones and looks for shadows.

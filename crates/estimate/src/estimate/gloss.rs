@@ -270,6 +270,7 @@ impl Solver<'_> {
                 ..self.seen
             },
             coarse: self.coarse.of_parts(parts),
+            coarse_sees: self.coarse_sees.clone(),
             ..*self
         }
     }

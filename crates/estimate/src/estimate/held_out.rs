@@ -180,10 +180,10 @@ pub fn left_under(
     left_by(&judged, &judged.dark_residuals(), units, is_out)
 }
 
-/// What the lobe of a coarse fit leaves in views that had no say at each of its points, by their places: without shadows, and as a part of
-/// what diffuse colours alone leave at all of them.
+/// What the lobe of a coarse fit leaves in views that had no say at each of its points, by their places: as a part of what diffuse colours
+/// alone leave at all of them.
 pub fn roughly_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<(Vec3, f64)> {
-    let design = solver.design(&solver.coarse, &fit.cells);
+    let design = solver.coarse_design(&solver.coarse);
     let units = in_noise(&design, common_noise(&design));
     let left = of_turns(&design, fit, &units, ROUGH_TURNS);
     let dark = left.iter().map(|left| left.dark).sum::<f64>();
@@ -193,9 +193,9 @@ pub fn roughly_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<(Vec3, f64)
 }
 
 /// What the lobe of a coarse fit leaves in such views as parts of the mean radiance of each of its points: so it means the same where
-/// photographs differ by factors. Without shadows.
+/// photographs differ by factors.
 pub fn relatively_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<f64> {
-    let design = solver.design(&solver.coarse, &fit.cells);
+    let design = solver.coarse_design(&solver.coarse);
     let left = of_turns(&design, fit, &in_radiance(&design), ROUGH_TURNS);
     left.iter().map(|left| left.lit).collect()
 }

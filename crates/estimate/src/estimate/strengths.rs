@@ -9,11 +9,13 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::cells::Cell;
+use super::design::Design;
 use super::fast::{Solver, Watch};
 use super::gloss::{WORTH, bonds};
 use super::observations::{Observations, Point};
 use super::observer::{Stopped, go_on};
 use super::state::{ROUGH, State};
+use super::visibility::SeenCells;
 use super::weights::{eliminate, log_diffuse};
 use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
 use rekindle_scene::surface::{GlossParts, PartPoint};
@@ -51,8 +53,9 @@ struct Strengths {
 /// What strengths are sought on.
 struct Search<'a> {
     solver: &'a Solver<'a>,
-    /// The coarsest cells.
+    /// The coarsest cells, and what the points see of them.
     cells: Vec<Cell>,
+    seen: SeenCells,
     colours: &'a Observations,
     gray: &'a Observations,
 }
@@ -61,11 +64,14 @@ impl Solver<'_> {
     /// The surface's parts by the strength of their gloss, if these explain the views clearly better than one for all.
     pub fn strengths(&self, watch: &mut Watch<'_>) -> Result<Option<GlossParts>, Stopped> {
         let colours = self.colours(POINTS);
+        let gray = colours.to_gray();
+        let cells = self.pyramid.roots();
         let search = Search {
             solver: self,
-            cells: self.pyramid.roots(),
+            seen: self.sees(&self.design(&gray, &cells), &cells),
+            cells,
             colours: &colours,
-            gray: &colours.to_gray(),
+            gray: &gray,
         };
         let mut best: Option<Strengths> = None;
         for sigma in SIGMAS {
@@ -97,7 +103,7 @@ impl Search<'_> {
     /// Lights of these strengths, sought from those at hand.
     fn lit(&self, brdf: Brdf, strengths: Vec<f64>, start: Vec<[f32; 3]>) -> Strengths {
         let points = self.points(&strengths);
-        let design = self.solver.design(&points, &self.cells);
+        let design = self.design(&points);
         let mut state = State::new(design, self.cells.clone(), brdf);
         state.radiance = start;
         state.solve_lights(ROUGH);
@@ -109,6 +115,14 @@ impl Search<'_> {
             radiance: state.radiance,
             weights: state.weights,
             of_points: strengths,
+        }
+    }
+
+    /// The points, whatever their gloss, under the cells that they see.
+    fn design<'d>(&'d self, points: &'d Observations) -> Design<'d> {
+        Design {
+            seen: self.seen.clone(),
+            ..self.solver.design(points, &self.cells)
         }
     }
 
@@ -162,7 +176,7 @@ impl Search<'_> {
 
     /// Specular radiance of every row where all points have the strength 1.
     fn shown(&self, of: &Strengths) -> Vec<[f32; 3]> {
-        let design = self.solver.design(self.gray, &self.cells);
+        let design = self.design(self.gray);
         design.predict_values(&of.brdf, &of.radiance)
     }
 

@@ -178,7 +178,9 @@ impl Solver<'_> {
         let without = |view: usize| {
             let (observations, rows) = self.coarse.without_views(|other| other == view);
             let roots = self.pyramid.roots();
-            let dark = State::new(self.design(&observations, &roots), roots, fit.brdf);
+            let mut design = self.design(&observations, &roots);
+            design.seen = self.sees(&design, &roots);
+            let dark = State::new(design, roots, fit.brdf);
             let mut state = dark.lit_at(fit.brdf.sigma);
             self.improve_quietly(&mut state, ROUNDS, ROUGH)?;
             Ok((self.left_in_rows(&state, &rows), state.brdf.sigma))
@@ -276,8 +278,14 @@ impl Solver<'_> {
         most: f64,
     ) -> Result<Option<State<'s>>, Stopped> {
         let roots = self.pyramid.roots();
-        let mut design = self.design(change.observations, &roots);
-        design.near = change.near;
+        let design = if change.near == self.near {
+            self.coarse_design(change.observations)
+        } else {
+            let mut design = self.design(change.observations, &roots);
+            design.near = change.near;
+            design.seen = self.sees(&design, &roots);
+            design
+        };
         let dark = State::new(design, roots, Brdf::new(change.models[0], sigma));
         let start = downhill(&dark, sigma);
         let others = change.models[1..].par_iter().map(|&model| {

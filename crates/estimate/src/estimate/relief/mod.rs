@@ -27,6 +27,7 @@ mod lamps;
 mod smoothing;
 
 use std::ops::AddAssign;
+use std::sync::OnceLock;
 
 use faer::Col;
 use glam::{DVec2, DVec3, Vec3};
@@ -111,6 +112,7 @@ impl Bench {
         };
         Solver {
             coarse: Solver::coarse_observations(&seen, Some(other.coarse.scale), other.stop),
+            coarse_sees: OnceLock::new(),
             seen,
             occluder: &self.occluder,
             ..*other
