@@ -35,55 +35,32 @@ pub fn weighted_signed_ranks(weights: &[f64], first: &[f64], second: &[f64]) -> 
     ranked(differences)
 }
 
-/// The same of values at places, none negative, those of `second` at others: between parts of space that hold as much of both together
-/// each, so that where there is more to tell there are more of them.
-pub fn placed_signed_ranks(first: &[(Vec3, f64)], second: &[(Vec3, f64)]) -> f64 {
+/// The same of pairs of values at places, none negative: between parts of space that hold as much of both together each, so that where
+/// there is more to tell there are more of them.
+pub fn placed_signed_ranks(pairs: &[(Vec3, f64, f64)]) -> f64 {
     let mut differences = Vec::with_capacity(GROUPS);
-    let of = |values: &[(Vec3, f64)], is_first| -> Vec<Placed> {
-        let placed = |&(place, value): &(Vec3, f64)| Placed {
-            place,
-            value,
-            is_first,
-        };
-        values.iter().map(placed).collect()
-    };
-    let mut both = of(first, true);
-    both.extend(of(second, false));
-    compare(&mut both, GROUPS, &mut differences);
+    compare(&mut pairs.to_vec(), GROUPS, &mut differences);
     ranked(differences)
 }
 
-/// A value of one of two sets.
-struct Placed {
-    place: Vec3,
-    value: f64,
-    is_first: bool,
-}
-
 /// Cuts space in two where half of all values lies on each side, across the longest extent, until there are so many parts, and adds by how
-/// much there is more of the first set than of the second in each, were they equally many there.
-fn compare(both: &mut [Placed], parts: usize, differences: &mut Vec<f64>) {
+/// much the first values are more than the second ones in each.
+fn compare(pairs: &mut [(Vec3, f64, f64)], parts: usize, differences: &mut Vec<f64>) {
     if parts == 1 {
-        let mean = |of: bool| {
-            let own = || both.iter().filter(|p| p.is_first == of);
-            own().map(|p| p.value).sum::<f64>() / own().count() as f64
-        };
-        let difference = (mean(true) - mean(false)) * both.len() as f64;
-        // Nothing is compared where there is only one of them.
-        differences.extend(difference.is_finite().then_some(difference));
+        differences.push(pairs.iter().map(|(_, a, b)| a - b).sum());
         return;
     }
-    let low = both.iter().fold(Vec3::MAX, |m, p| m.min(p.place));
-    let high = both.iter().fold(Vec3::MIN, |m, p| m.max(p.place));
+    let low = pairs.iter().fold(Vec3::MAX, |m, p| m.min(p.0));
+    let high = pairs.iter().fold(Vec3::MIN, |m, p| m.max(p.0));
     let axis = (high - low).max_position();
-    both.sort_by(|a, b| a.place[axis].total_cmp(&b.place[axis]));
-    let half = 0.5 * both.iter().map(|p| p.value).sum::<f64>();
+    pairs.sort_by(|a, b| a.0[axis].total_cmp(&b.0[axis]));
+    let half = 0.5 * pairs.iter().map(|(_, a, b)| a + b).sum::<f64>();
     let mut before = 0.0;
-    let cut = both.iter().position(|p| {
-        before += p.value;
+    let cut = pairs.iter().position(|(_, a, b)| {
+        before += a + b;
         before > half
     });
-    let (one, other) = both.split_at_mut(cut.unwrap_or(both.len() / 2));
+    let (one, other) = pairs.split_at_mut(cut.unwrap_or(pairs.len() / 2));
     compare(one, parts / 2, differences);
     compare(other, parts / 2, differences);
 }
@@ -122,20 +99,22 @@ mod tests {
     }
 
     #[test]
-    fn values_at_other_places_are_compared_where_they_are() {
+    fn pairs_that_vary_from_place_to_place_are_compared_where_they_are() {
         let at = |i: usize| {
             let turn = i as f32 * 2.4;
             Vec3::new(turn.cos(), turn.sin(), (i as f32 * 0.37).sin())
         };
-        // What varies from place to place drowns the difference for values that are compared in the order they come in.
-        let field = |p: Vec3| 2.0 + f64::from(p.x + 0.5 * p.z);
-        let first: Vec<(Vec3, f64)> = (0..900).map(|i| (at(i), field(at(i)))).collect();
-        let other: Vec<(Vec3, f64)> = (2000..2700).map(|i| (at(i), 0.95 * field(at(i)))).collect();
-        assert!(placed_signed_ranks(&first, &other) > 4.0);
-        assert!(placed_signed_ranks(&other, &first) < -4.0);
-        let same: Vec<(Vec3, f64)> = (2000..2700).map(|i| (at(i), field(at(i)))).collect();
-        assert!(placed_signed_ranks(&first, &same).abs() < 2.5);
-        assert_eq!(placed_signed_ranks(&first, &[]), 0.0);
+        let noise = |i: usize| (i as f64 * 12.9898).sin();
+        // What both leave varies much more than by what they differ.
+        let both = |i: usize, part: f64| {
+            let field = 10.0 + 8.0 * f64::from(at(i).x) + 2.0 * noise(i);
+            (at(i), field, part * field + 0.2 * noise(i + 7000))
+        };
+        let of = |part: f64| -> Vec<_> { (0..900).map(|i| both(i, part)).collect() };
+        assert!(placed_signed_ranks(&of(0.95)) > 4.0);
+        assert!(placed_signed_ranks(&of(1.05)) < -4.0);
+        assert!(placed_signed_ranks(&of(1.0)).abs() < 2.0);
+        assert_eq!(placed_signed_ranks(&[]), 0.0);
     }
 
     #[test]
@@ -146,16 +125,19 @@ mod tests {
         };
         let noise = |i: usize| 1.0 + 0.9 * (i as f64 * 12.9898).sin();
         let shines = |p: Vec3| p.x > 0.8 && p.z > 0.0;
-        let of = |from: usize, left: f64| -> Vec<(Vec3, f64)> {
-            let value = |i| noise(i) * if shines(at(i)) { left } else { 1.0 };
-            (from..from + 1500).map(|i| (at(i), value(i))).collect()
+        let of = |other: usize, [first, second]: [f64; 2]| -> Vec<(Vec3, f64, f64)> {
+            let value = |i, left| noise(i) * if shines(at(i)) { left } else { 1.0 };
+            let pair = |i| {
+                let there = if shines(at(i)) { second } else { 1.0 };
+                (at(i), value(i, first), noise(i + other) * there)
+            };
+            (0..1500).map(pair).collect()
         };
-        let (much, less) = (of(0, 30.0), of(5000, 15.0));
-        assert!(placed_signed_ranks(&much, &less) > SURE);
-        assert!(placed_signed_ranks(&less, &much) < -SURE);
+        assert!(placed_signed_ranks(&of(5000, [30.0, 15.0])) > SURE);
+        assert!(placed_signed_ranks(&of(5000, [15.0, 30.0])) < -SURE);
         // Chance is not taken for more in whichever comes first.
         let sum: f64 = (1..40)
-            .map(|k| placed_signed_ranks(&of(0, 30.0), &of(5000 * k, 30.0)))
+            .map(|k| placed_signed_ranks(&of(5000 * k, [30.0, 30.0])))
             .sum();
         assert!((sum / 39.0).abs() < 0.5, "{sum}");
     }

@@ -5,14 +5,14 @@ use super::SpecularChoice;
 use super::below::{AllAround, is_lit_from_below};
 use super::fast::{CoarseFit, Fit, Solver, Watch};
 use super::gloss;
-use super::held_out::{CHANCE, predicts_better, roughly_left_out, shows_gloss};
+use super::held_out::{CHANCE, leaves_less, predicts_better, roughly_left_out, shows_gloss};
 use super::observations::Seen;
 use super::observer::{Interim, Stopped, go_on};
 use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::state::{ROUGH, State};
 use super::suspects::{Suspicion, left};
 use super::{diagnose, exposures};
-use rekindle_base::math::ranks::{SURE, placed_signed_ranks, signed_ranks};
+use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::Shortcut;
@@ -277,9 +277,9 @@ fn on_refined(
     let on_mesh = solver;
     with_coarse_fit(&refined, choice, watch, |solver, start, watch| {
         let after = roughly_left_out(solver, &start.coarse.state);
-        let z = placed_signed_ranks(&before, &after);
+        let z = leaves_less(&before, &after);
         let [left_before, left_after] =
-            [&before, &after].map(|left| left.iter().map(|l| l.1).sum::<f64>());
+            [&before, &after].map(|left| left.iter().map(|at| at.left).sum::<f64>());
         // Turned normals can stand for much else that is wrong: what has a name goes before them.
         if left_after >= left_before
             || z <= CHANCE

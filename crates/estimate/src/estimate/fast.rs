@@ -215,6 +215,9 @@ impl<'a> Solver<'a> {
             mesh: &input.capture.mesh,
             views: &input.capture.views,
             surfaces: input.surfaces,
+            pixels: (input.surfaces.iter())
+                .map(|s| s.interior.iter().filter(|&&i| i).count())
+                .sum(),
             parts: None,
             mirrored: input.first.map(|first| first.mirrored),
             turning,

@@ -3,6 +3,7 @@
 //! Some lights always explain something: noise, texture that is out of place, views that differ in exposure. But they say
 //! nothing of a view that had no say in them, while true ones show in it what the others don't: that is what they are for.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use glam::Vec3;
@@ -11,10 +12,10 @@ use rayon::prelude::*;
 use super::cells::Cell;
 use super::design::Design;
 use super::fast::Solver;
-use super::observations::{Observations, Row};
+use super::observations::{Observations, Point, Row};
 use super::state::{Precision, ROUGH, State};
 use super::weights::{Residuals, dark_residuals, deviation, initial_weights, magnitude};
-use rekindle_base::math::ranks::{SURE, signed_ranks, weighted_signed_ranks};
+use rekindle_base::math::ranks::{SURE, placed_signed_ranks, signed_ranks, weighted_signed_ranks};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 
 /// Views are left out in so many turns at most.
@@ -44,6 +45,16 @@ pub struct Left {
     pub lit: f64,
     /// What the lights change.
     pub shown: f64,
+}
+
+/// What an explanation leaves at one of a surface's points.
+#[derive(Clone, Copy, Debug)]
+pub struct LeftAt {
+    /// See [`Point::pixel`].
+    pixel: (usize, u32, u32),
+    position: Vec3,
+    /// How much.
+    pub left: f64,
 }
 
 /// Whether what lights leave of views that had no say in them is less than what diffuse colours alone do, beyond chance.
@@ -180,16 +191,29 @@ pub fn left_under(
     left_by(&judged, &judged.dark_residuals(), units, is_out)
 }
 
-/// What the lobe of a coarse fit leaves in views that had no say at each of its points, by their places: as a part of what diffuse colours
-/// alone leave at all of them.
-pub fn roughly_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<(Vec3, f64)> {
+/// What the lobe of a coarse fit leaves in views that had no say at each of its points: as a part of what diffuse colours alone leave at
+/// all of them.
+pub fn roughly_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<LeftAt> {
     let design = solver.coarse_design(&solver.coarse);
     let units = in_noise(&design, common_noise(&design));
     let left = of_turns(&design, fit, &units, ROUGH_TURNS);
     let dark = left.iter().map(|left| left.dark).sum::<f64>();
-    let share = |left: Left| left.lit / dark.max(f64::MIN_POSITIVE);
-    let points = solver.coarse.points.iter().map(|point| point.position);
-    points.zip(left.into_iter().map(share)).collect()
+    let at = |(point, left): (&Point, Left)| LeftAt {
+        pixel: point.pixel,
+        position: point.position,
+        left: left.lit / dark.max(f64::MIN_POSITIVE),
+    };
+    solver.coarse.points.iter().zip(left).map(at).collect()
+}
+
+/// By how many standard deviations of chance the second of two surfaces leaves less than the first, at pixels that show both.
+pub fn leaves_less(first: &[LeftAt], second: &[LeftAt]) -> f64 {
+    let of_second: BTreeMap<_, f64> = second.iter().map(|at| (at.pixel, at.left)).collect();
+    let both = first.iter().filter_map(|at| {
+        let second = of_second.get(&at.pixel)?;
+        Some((at.position, at.left, *second))
+    });
+    placed_signed_ranks(&both.collect::<Vec<_>>())
 }
 
 /// What the lobe of a coarse fit leaves in such views as parts of the mean radiance of each of its points: so it means the same where

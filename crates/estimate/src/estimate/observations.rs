@@ -36,6 +36,9 @@ pub struct Seen<'a> {
     pub views: &'a [View],
     /// What each view sees of the surface, one per view.
     pub surfaces: &'a [ViewSurface],
+    /// Pixels that points are spread over: those inside the outlines of the capture's own mesh, so that the same are looked at where another
+    /// surface stands for it.
+    pub pixels: usize,
     /// Which parts of the surface have another gloss than the rest, where that is known.
     pub parts: Option<&'a GlossParts>,
     /// What it mirrors of itself, where that is known.
@@ -141,6 +144,8 @@ pub struct Point {
     pub normal: Vec3,
     /// The triangle it lies on, and its weights of the second and third corner.
     pub on: (u32, Vec2),
+    /// The view and the pixel in it, x and y, whose centre shows it.
+    pub pixel: (usize, u32, u32),
     /// Its gloss's place in [`Observations::glosses`].
     pub gloss: usize,
     /// Its rows in [`Observations::rows`].
@@ -215,6 +220,7 @@ impl Observations {
                 position: candidate.position,
                 normal: candidate.normal,
                 on: candidate.on,
+                pixel: (candidate.order.1, candidate.order.2, candidate.order.3),
                 gloss: candidate.gloss,
                 rows: first..all.rows.len(),
             });
@@ -371,13 +377,8 @@ impl Candidate {
 
     /// The points of a sampling in random order, so that the first of them are an even sample too.
     pub fn all(seen: &Seen<'_>, sampling: &Sampling<'_>) -> Vec<Self> {
-        let interior: usize = seen
-            .surfaces
-            .iter()
-            .map(|s| s.interior.iter().filter(|&&i| i).count())
-            .sum();
         // One candidate a square of `cell` pixels.
-        let cell = (interior as f64 / sampling.candidates.max(1) as f64)
+        let cell = (seen.pixels as f64 / sampling.candidates.max(1) as f64)
             .sqrt()
             .max(1.0);
         let mut found: Vec<Self> = (0..seen.views.len())

@@ -575,6 +575,7 @@ fn bare_observations(points: usize, random: &mut Random) -> Observations {
             position: Vec3::ZERO,
             normal,
             on: (0, glam::Vec2::ZERO),
+            pixel: (0, 0, 0),
             gloss: 0,
             rows: first..all.rows.len(),
         });

@@ -69,7 +69,7 @@ fn wide_fit<'s>(
     }
     let left = |fit: &CoarseFit<'_>| -> Vec<f64> {
         let left = roughly_left_out(solver, &fit.state);
-        left.into_iter().map(|(_, left)| left).collect()
+        left.into_iter().map(|at| at.left).collect()
     };
     let is_better = signed_ranks(&left(&short), &left(&any)) > CHANCE;
     Ok(if is_better { any } else { short })

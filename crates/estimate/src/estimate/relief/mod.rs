@@ -456,6 +456,7 @@ mod tests {
             position: Vec3::ZERO,
             normal: normal(&relief),
             on,
+            pixel: (0, 0, 0),
             gloss: 0,
             rows: 0..0,
         };

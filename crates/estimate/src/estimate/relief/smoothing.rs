@@ -1,14 +1,12 @@
 //! How much a noisy mesh is to be smoothed: as much as the pictures say.
 
-use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{Bench, Relief};
 use crate::estimate::fast::{CoarseFit, Solver, Watch};
-use crate::estimate::held_out::{CHANCE, roughly_left_out};
+use crate::estimate::held_out::{CHANCE, LeftAt, leaves_less, roughly_left_out};
 use crate::estimate::observations::Seen;
 use crate::estimate::observer::{Stopped, Unobserved, go_on};
-use rekindle_base::math::ranks::placed_signed_ranks;
 use rekindle_capture::Mesh;
 use rekindle_scene::reflectance::SpecularModel;
 use rekindle_scene::surface::{NO_TRIANGLE, Smoothing, ViewSurface, simplified};
@@ -41,7 +39,7 @@ const AS_GOOD: f64 = 1.0;
 /// A smoothed surface, and what a coarse fit to it leaves of views that had no say.
 struct Smoothed {
     relief: Relief,
-    left: Vec<(Vec3, f64)>,
+    left: Vec<LeftAt>,
 }
 
 impl Smoothed {
@@ -68,7 +66,7 @@ impl Smoothed {
     }
 
     fn total(&self) -> f64 {
-        self.left.iter().map(|(_, left)| left).sum()
+        self.left.iter().map(|at| at.left).sum()
     }
 }
 
@@ -115,11 +113,11 @@ pub fn smoothed(
         return Ok(None);
     };
     let left = &tried[best].left;
-    let is_as_good = |s: &Smoothed| placed_signed_ranks(&s.left, left) <= AS_GOOD;
+    let is_as_good = |s: &Smoothed| leaves_less(&s.left, left) <= AS_GOOD;
     let smoothest = tried[best..].iter().rposition(is_as_good).unwrap_or(0);
     let Smoothed { relief, left } = tried.swap_remove(best + smoothest);
     let unsmoothed = roughly_left_out(solver, &coarse.state);
-    let is_better = placed_signed_ranks(&unsmoothed, &left) > CHANCE;
+    let is_better = leaves_less(&unsmoothed, &left) > CHANCE;
     Ok(Some((relief, is_better)))
 }
 
