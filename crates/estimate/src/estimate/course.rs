@@ -280,11 +280,12 @@ fn on_refined(
         let z = leaves_less(&before, &after);
         let [left_before, left_after] =
             [&before, &after].map(|left| left.iter().map(|at| at.left).sum::<f64>());
-        // Turned normals can stand for much else that is wrong: what has a name goes before them.
-        if left_after >= left_before
-            || z <= CHANCE
-            || on_mesh.contradicted(&coarse.state)?.is_some()
-        {
+        if left_after >= left_before || z <= CHANCE {
+            return Ok(None);
+        }
+        // Turned normals can stand for much else that is wrong: what has a name, and leaves less, goes before them.
+        let named = on_mesh.contradicted(&coarse.state)?;
+        if named.is_some_and(|named| named.leaves * left_before <= left_after) {
             return Ok(None);
         }
         with_parts(solver, start, choice, watch, |solver, start, watch| {
@@ -316,7 +317,9 @@ fn on_relief(
     } = start;
     let with = (choice, Causes::Views);
     let fit = finish(solver, &coarse.state, watch)?;
-    if !watch.observer.enough() && relief.bend(solver, &fit, watch)? {
+    let parted = fit.parts.as_ref().map(|parts| solver.parted(parts));
+    let glossy = parted.as_ref().unwrap_or(solver);
+    if !watch.observer.enough() && relief.bend(glossy, &fit, watch)? {
         let mesh = relief.mesh();
         let bench = Bench::new(&mesh, solver.seen.views);
         let bent = bench.solver(solver, &mesh);

@@ -113,9 +113,10 @@ pub fn smoothed(
         return Ok(None);
     };
     let left = &tried[best].left;
-    let is_as_good = |s: &Smoothed| leaves_less(&s.left, left) <= AS_GOOD;
-    let smoothest = tried[best..].iter().rposition(is_as_good).unwrap_or(0);
-    let Smoothed { relief, left } = tried.swap_remove(best + smoothest);
+    let is_as_good = |s: &&Smoothed| leaves_less(&s.left, left) <= AS_GOOD;
+    let smoother = tried[best + 1..].iter().take_while(is_as_good);
+    let smoothest = best + smoother.count();
+    let Smoothed { relief, left } = tried.swap_remove(smoothest);
     let unsmoothed = roughly_left_out(solver, &coarse.state);
     let is_better = leaves_less(&unsmoothed, &left) > CHANCE;
     Ok(Some((relief, is_better)))
