@@ -6,10 +6,10 @@
 /// How many times as bright as each of its neighbours a pixel has to be.
 const TIMES: f32 = 10.0;
 
-/// The indices of such pixels among those with `usable` data, of a picture `width` pixels wide; none is darker than the mean.
-pub(super) fn isolated_pixels(rgb: &[[f32; 3]], usable: &[bool], width: usize) -> Vec<usize> {
+/// The indices of such pixels among those of which something is `known`, of a picture `width` pixels wide; none is darker than the mean.
+pub(super) fn isolated_pixels(rgb: &[[f32; 3]], known: &[bool], width: usize) -> Vec<usize> {
     let brightness = |i: usize| rgb[i].iter().fold(0.0_f32, |m, &v| m.max(v));
-    let data = || (0..rgb.len()).filter(|&i| usable[i] && brightness(i) > 0.0);
+    let data = || (0..rgb.len()).filter(|&i| known[i] && brightness(i) > 0.0);
     let (sum, count) = data().fold((0.0_f64, 0_usize), |(sum, count), i| {
         (sum + f64::from(brightness(i)), count + 1)
     });
@@ -18,7 +18,7 @@ pub(super) fn isolated_pixels(rgb: &[[f32; 3]], usable: &[bool], width: usize) -
         let own = brightness(i);
         own > mean
             && neighbours(i, width, rgb.len() / width)
-                .filter(|&k| usable[k])
+                .filter(|&k| known[k])
                 .all(|k| own > TIMES * brightness(k))
     };
     data().filter(|&i| is_isolated(i)).collect()

@@ -500,9 +500,12 @@ fn clean(picture: Picture, mask: Option<&Mask>) -> (Photograph, PixelCounts) {
             *pixel = pixel.map(|v| v.max(0.0));
         }
     }
-    for i in isolated_pixels(&rgb, &usable, width as usize) {
+    // A pixel beside a clipped one is no brighter than that.
+    let known: Vec<bool> = usable.iter().zip(&clipped).map(|(u, c)| u | c).collect();
+    for i in isolated_pixels(&rgb, &known, width as usize) {
         counts.isolated += 1;
         usable[i] = false;
+        clipped[i] = false;
         rgb[i] = [0.0; 3];
     }
     if let Some(coverage) = &mut coverage {

@@ -639,6 +639,35 @@ fn clipped_pixels_keep_the_least_that_they_can_be() {
     assert_eq!(photograph.radiance[0], [0.0; 3]);
 }
 
+#[test]
+fn a_lone_clipped_pixel_is_no_highlight_and_what_lies_beside_highlights_stays() {
+    let mut fixture = Fixture::new();
+    let at = |x: u32, y: u32| y * SIZE.0 + x;
+    // Two clipped pixels one above the other, between bright ones; and one far from all, where it is dark.
+    let highlight = [at(1, 1), at(1, 2)];
+    let beside = [at(0, 1), at(2, 1), at(0, 2), at(2, 2)];
+    let lone = at(SIZE.0 - 2, SIZE.1 - 2);
+    let shown = |i: u32| match i {
+        _ if highlight.contains(&i) || i == lone => 255,
+        _ if beside.contains(&i) => 230,
+        _ => 20,
+    };
+    let pixels: Vec<u8> = (0..3 * SIZE.0 * SIZE.1).map(|i| shown(i / 3)).collect();
+    let path = fixture.folder.path().join("photograph.png");
+    image::save_buffer(path, &pixels, SIZE.0, SIZE.1, image::ColorType::Rgb8).expect("png");
+    fixture.manifest["frames"][0]["file_path"] = json!("photograph.png");
+    let photograph = fixture.loaded().views.remove(0).photograph;
+    for i in highlight {
+        assert!(photograph.is_clipped(i as usize));
+    }
+    for i in beside {
+        assert!(photograph.usable[i as usize], "{i} is beside a highlight");
+    }
+    let lone = lone as usize;
+    assert!(!photograph.usable[lone] && !photograph.is_clipped(lone));
+    assert_eq!(photograph.radiance[lone], [0.0; 3]);
+}
+
 /// Writes a float EXR whose pixel `i` is `pixel(i)`.
 fn write_exr(path: &Path, pixel: impl Fn(usize) -> [f32; 4] + Sync) {
     exr::prelude::write_rgba_file(path, SIZE.0 as usize, SIZE.1 as usize, |x, y| {
