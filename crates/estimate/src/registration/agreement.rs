@@ -58,6 +58,11 @@ impl Agreement {
         }
     }
 
+    /// Points that are at hand, each with the views that see it and its radiance there, RGB.
+    pub fn of(views: usize, points: Vec<Vec<(usize, [f64; 3])>>) -> Self {
+        Self { views, points }
+    }
+
     /// Share of the surface seen by no view, one, two, and three or more.
     pub fn seen_by(&self) -> [f64; 4] {
         let mut counts = [0_usize; 4];

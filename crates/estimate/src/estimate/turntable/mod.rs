@@ -28,6 +28,7 @@ use super::lobes::light_from;
 use super::observations::{Motion, Observations, Placed, Point, Row};
 use super::shading::{MEAN_ALBEDO, brightest, lit_children, mean};
 use super::weights::{DETAIL_SHARE, magnitude, median};
+use crate::registration::Agreement;
 use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::hemisphere::{HemisphereGrid, Lamp, find_lamps, rest};
 use rekindle_scene::reflectance::Brdf;
@@ -279,9 +280,12 @@ pub fn is_told(solver: &Solver<'_>) -> bool {
     let grid = solver.grid.to_whole();
     let pyramid = Pyramid::new(&grid, FREQUENCY);
     let cells = pyramid.roots();
-    // Light from everywhere is the same in all views.
-    let even = |half| Shading::of_lights((solver, None), half, &[]).left_of_points(&[1.0]);
-    let still = halves.each_ref().map(even).concat();
+    // Light from everywhere is the same in all views, which may be exposed differently, as the other half of the points says.
+    let even = |half: &Observations, others: &Observations| {
+        let evened = half.divided(&gains(others, solver.seen.views.len()));
+        Shading::of_lights((solver, None), &evened, &[]).left_of_points(&[1.0])
+    };
+    let still = [even(&halves[0], &halves[1]), even(&halves[1], &halves[0])].concat();
     if middle(&still) < CALM {
         return false;
     }
@@ -292,6 +296,19 @@ pub fn is_told(solver: &Solver<'_>) -> bool {
         .flat_map(|(shading, x)| shading.left_of_points(x))
         .collect();
     middle(&turning) < WORTH * middle(&still) && signed_ranks(&still, &turning) > SURE
+}
+
+/// How much brighter each view is than the others; none is where they share too little.
+fn gains(observations: &Observations, views: usize) -> Vec<[f64; 3]> {
+    let shown = |point: &Point| -> Vec<(usize, [f64; 3])> {
+        let rows = &observations.rows[point.rows.clone()];
+        rows.iter()
+            .map(|row| (row.view, row.radiance.map(f64::from)))
+            .collect()
+    };
+    let points = observations.points.iter().map(shown).collect();
+    let gains = Agreement::of(views, points).gains();
+    gains.unwrap_or_else(|| vec![[1.0; 3]; views])
 }
 
 fn middle(values: &[f64]) -> f64 {
