@@ -8,7 +8,8 @@
 //!
 //! A pixel is clipped where a sample that it is interpolated from is. With white balance channels clip at different levels, and
 //! what is clipped in all of them would be magenta. So clipped pixels are cut in all channels at the lowest of these levels, which
-//! makes highlights white: for light near the white that is balanced for, they are then as bright as that at least.
+//! makes highlights white. As their radiance is taken for the least that there can be, no channel gets more from the matrix than it
+//! has before: the matrix takes from each what others have, and of these a part may be missing.
 
 use glam::{DMat3, DVec3};
 use rawler::RawImage;
@@ -123,11 +124,21 @@ pub(super) fn develop(
         Kind::LinearRaw if image.cpp == 3 => of_linear(&image, place)?,
         _ => return Err(Fault::unknown("it has not the three colours of a picture")),
     };
-    let lowest = gains.iter().copied().fold(f32::INFINITY, f32::min);
+    let lowest = DVec3::splat(
+        gains
+            .map(f64::from)
+            .into_iter()
+            .fold(f64::INFINITY, f64::min),
+    );
     let colour = |(pixel, is_clipped): (&mut [f32; 3], &bool)| {
-        let most = if *is_clipped { lowest } else { f32::INFINITY };
-        let balanced = [0, 1, 2].map(|c| f64::from((pixel[c] * gains[c]).min(most)));
-        let srgb = srgb_from_camera * DVec3::from(balanced);
+        let balanced = DVec3::from([0, 1, 2].map(|c| f64::from(pixel[c] * gains[c])));
+        let srgb = if *is_clipped {
+            let least = balanced.min(lowest);
+            // What is missing of one channel would take from the others.
+            (srgb_from_camera * least).min(least)
+        } else {
+            srgb_from_camera * balanced
+        };
         // Colours outside of sRGB are not negative light.
         *pixel = srgb.to_array().map(|v| v.max(0.0) as f32);
     };

@@ -13,7 +13,7 @@ use crate::{Capture, Photos, Settings};
 
 /// A coloured surface without sharp edges.
 fn scene(x: f64, y: f64) -> [f64; 3] {
-    let wave = |phase: f64| 0.3 + 0.1 * (0.11 * x + 0.07 * y + phase).sin();
+    let wave = |phase: f64| 0.3 + 0.1 * (0.05 * x + 0.03 * y + phase).sin();
     [wave(0.0), 0.8 * wave(1.0), wave(2.0)]
 }
 
@@ -48,7 +48,7 @@ fn a_scene_comes_out_linear_and_in_its_colours() {
     let off = difference(&picture, scene);
     assert!(off < 0.02, "{off}");
     // Half the light is half of everything; each black level counts, or dark places would show a grid.
-    for (time, tolerance) in [(0.5, 0.02), (0.01, 0.04)] {
+    for (time, tolerance) in [(0.5, 0.02), (0.03, 0.03)] {
         let photograph = Dng {
             time,
             ..Dng::default()
@@ -75,7 +75,7 @@ fn grey_is_grey_to_the_last_digit_that_the_sensor_has() {
 #[test]
 fn clipped_highlights_are_white_and_no_brighter_than_the_truth() {
     let bright = |x: f64, y: f64| {
-        let highlight = (-((x - 20.0).powi(2) + (y - 17.0).powi(2)) / 40.0).exp();
+        let highlight = (-((x - 20.0).powi(2) + (y - 17.0).powi(2)) / 80.0).exp();
         scene(x, y).map(|v| 0.5 * v + 3.0 * highlight)
     };
     let picture = developed(&Dng::default().bytes(bright));
@@ -85,10 +85,10 @@ fn clipped_highlights_are_white_and_no_brighter_than_the_truth() {
         places.filter(|&(x, y)| bright(x, y)[1] > level).count()
     };
     assert!(clipped >= above(1.05) && clipped < above(0.4), "{clipped}");
-    for (i, (pixel, _)) in picture.rgb.iter().zip(&picture.saturated).enumerate() {
+    for (i, pixel) in picture.rgb.iter().enumerate() {
         let truth = bright((i % 40) as f64, (i / 40) as f64);
         for c in 0..3 {
-            let most = truth[c] * 1.05 + 0.02;
+            let most = truth[c] * 1.08;
             assert!(f64::from(pixel[c]) <= most, "{i}: {pixel:?} for {truth:?}");
         }
     }
@@ -361,6 +361,6 @@ fn directories_without_end_and_entries_without_measure_are_refused() {
         of_tag.next().expect("the entry")
     };
     refused(entry(50_721) + 4, 1 << 30, "longer than the file");
-    refused(entry(256) + 8, 2_000_000, "header announces 2000000×46");
+    refused(entry(256) + 8, 20_000_000, "header announces 20000000×46");
     refused(entry(257) + 8, 2_000_000, "more than its");
 }
