@@ -156,7 +156,16 @@ fn of_mosaic(image: RawImage, place: Place, pattern: &CFAConfig) -> Result<Devel
     let cfa = pattern.cfa.shift(area.p.x, area.p.y);
     cool(&mut samples, &cfa);
     let clipped = samples.reached();
-    let rgb = demosaiced(samples, pattern, &cfa)?;
+    let bounds = clipped
+        .par_iter()
+        .enumerate()
+        .filter(|(_, clipped)| **clipped);
+    let bounds = bounds.map(|(i, _)| (i, samples.averaged(&cfa, i)));
+    let bounds: Vec<(usize, [f32; 3])> = bounds.collect();
+    let mut rgb = demosaiced(samples, pattern, &cfa)?;
+    for (i, bound) in bounds {
+        rgb[i] = bound;
+    }
     let Rect { p, d } = place.picture;
     let first = (p.y - area.p.y) * area.d.w + p.x - area.p.x;
     let rows = || (0..d.h).map(|row| first + row * area.d.w..first + row * area.d.w + d.w);
@@ -263,39 +272,65 @@ fn whites(image: &RawImage) -> Vec<f32> {
 
 /// Gives the samples of hot pixels what those about them of the same colour have: no lens shows such a point.
 fn cool(samples: &mut Samples, cfa: &CFA) {
-    let (width, height) = (samples.width, samples.height);
-    let values = &samples.values;
-    let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len().max(1) as f64;
-    let around = |i: usize| {
-        let (x, y) = (i % width, i / width);
-        let colour = cfa.color_at(y, x);
-        let rows = y.saturating_sub(REACH)..(y + REACH + 1).min(height);
-        rows.flat_map(move |row| {
-            let columns = x.saturating_sub(REACH)..(x + REACH + 1).min(width);
-            columns.map(move |column| (column, row))
-        })
-        .filter(move |&(column, row)| {
-            (column, row) != (x, y) && cfa.color_at(row, column) == colour
-        })
-        .map(move |(column, row)| values[row * width + column])
+    let all = &samples.values;
+    let mean = all.iter().map(|&v| f64::from(v)).sum::<f64>() / all.len().max(1) as f64;
+    let others = |i: usize| {
+        let colour = cfa.color_at(i / samples.width, i % samples.width);
+        let alike = samples.alike(cfa, i, REACH, colour);
+        alike.filter(move |&k| k != i).map(|k| all[k])
     };
     let is_hot = |&i: &usize| {
-        let own = values[i];
-        f64::from(own) > mean && around(i).all(|other| own > HOT * other)
+        let own = all[i];
+        f64::from(own) > mean && others(i).all(|other| own > HOT * other)
     };
-    let cooled = |i: usize| {
-        let (sum, count) = around(i).fold((0.0, 0.0), |(sum, n), v| (sum + v, n + 1.0_f32));
-        (i, sum / count.max(1.0))
-    };
-    let hot = (0..values.len()).into_par_iter().filter(is_hot);
-    let hot: Vec<(usize, f32)> = hot.map(cooled).collect();
+    let hot = (0..all.len()).into_par_iter().filter(is_hot);
+    let hot: Vec<(usize, f32)> = hot.map(|i| (i, mean_of(others(i)))).collect();
     for (i, value) in hot {
         samples.values[i] = value;
         samples.clipped[i] = false;
     }
 }
 
+fn mean_of(values: impl Iterator<Item = f32>) -> f32 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0_f32));
+    sum / count.max(1.0)
+}
+
 impl Samples {
+    /// Samples of a colour, up to `reach` columns and rows from one.
+    fn alike(
+        &self,
+        cfa: &CFA,
+        i: usize,
+        reach: usize,
+        colour: usize,
+    ) -> impl Iterator<Item = usize> {
+        let (width, height) = (self.width, self.height);
+        let (x, y) = (i % width, i / width);
+        let rows = y.saturating_sub(reach)..(y + reach + 1).min(height);
+        rows.flat_map(move |row| {
+            let columns = x.saturating_sub(reach)..(x + reach + 1).min(width);
+            columns
+                .filter(move |&column| cfa.color_at(row, column) == colour)
+                .map(move |column| row * width + column)
+        })
+    }
+
+    /// The camera's RGB of a pixel without what one colour tells of another, which is wrong where one of them is clipped: its own
+    /// sample, and the means of the nearest of the other colours.
+    fn averaged(&self, cfa: &CFA, i: usize) -> [f32; 3] {
+        let own = cfa.color_at(i / self.width, i % self.width);
+        [0, 1, 2].map(|colour| {
+            let near = |reach: usize| self.alike(cfa, i, reach, colour).map(|k| self.values[k]);
+            let near_by = near(1).next().map_or(REACH, |_| 1);
+            if colour == own {
+                self.values[i]
+            } else {
+                mean_of(near(near_by))
+            }
+        })
+    }
+
     /// Whether each pixel is interpolated from a clipped sample.
     fn reached(&self) -> Vec<bool> {
         let (width, height) = (self.width, self.height);

@@ -88,7 +88,9 @@ fn clipped_highlights_are_white_and_no_brighter_than_the_truth() {
     for (i, pixel) in picture.rgb.iter().enumerate() {
         let truth = bright((i % 40) as f64, (i / 40) as f64);
         for c in 0..3 {
-            let most = truth[c] * 1.08;
+            // Interpolation is off by that much on slopes as steep as these.
+            let off = if picture.saturated[i] { 0.05 } else { 0.1 };
+            let most = truth[c] * (1.0 + off);
             assert!(f64::from(pixel[c]) <= most, "{i}: {pixel:?} for {truth:?}");
         }
     }
