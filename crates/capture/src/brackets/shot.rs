@@ -49,11 +49,12 @@ pub struct Shot {
 impl Shot {
     /// Reads what a file says; a file without EXIF data says nothing.
     pub fn read(path: &Path) -> Self {
-        if raw::is_raw(path) {
-            // Many makers keep EXIF data where only a decoder of their own files finds them.
-            let bytes = files::read(path).ok();
-            let metadata = bytes.and_then(|bytes| raw::metadata(path, bytes));
-            return metadata.map_or_else(Self::default, |metadata| Self::of_raw(&metadata));
+        // Many makers keep EXIF data where only a decoder of their own files finds them.
+        let metadata = || raw::metadata(path, files::read(path).ok()?);
+        if raw::is_raw(path)
+            && let Some(metadata) = metadata()
+        {
+            return Self::of_raw(&metadata);
         }
         files::open(path).map_or_else(
             |_| Self::default(),

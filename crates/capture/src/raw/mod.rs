@@ -78,6 +78,13 @@ impl From<RawlerError> for Fault {
             RawlerError::Unsupported { .. } => {
                 Self::unknown("it is no raw file, or of an unknown camera")
             }
+            RawlerError::DecoderFailed(what)
+                if ["EOF", "Eof", "too short"]
+                    .iter()
+                    .any(|end| what.contains(end)) =>
+            {
+                Self::damaged("the file ends too early")
+            }
             RawlerError::DecoderFailed(what) => {
                 let line = what.lines().next().unwrap_or_default();
                 Self::damaged(&format!("the decoder of raw files says: {line}"))
