@@ -17,7 +17,7 @@ use rekindle_capture::{Capture, View, unpack_demo};
 use rekindle_estimate::estimate::cells::{Cell, Pyramid};
 use rekindle_estimate::estimate::design::{Design, NormalEquations};
 use rekindle_estimate::estimate::lobes::CellLobes;
-use rekindle_estimate::estimate::observations::{Observations, Sampling, Seen};
+use rekindle_estimate::estimate::observations::{Observations, Sampling, Seen, pixels_inside};
 use rekindle_estimate::estimate::visibility::SeenCells;
 use rekindle_estimate::estimate::workspace::Workspace;
 use rekindle_relight::{LampNodes, Lighting, Scene, Shader, TriangleShares, texel_irradiance};
@@ -146,6 +146,7 @@ fn observations() -> Observations {
         mesh: &DEMO.capture.mesh,
         views: &DEMO.capture.views,
         surfaces: &DEMO.surfaces,
+        pixels: pixels_inside(&DEMO.surfaces),
         parts: None,
         mirrored: None,
         turning: None,

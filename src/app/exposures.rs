@@ -25,7 +25,7 @@ pub(super) fn show(ui: &mut egui::Ui, brackets: &Brackets) {
         ),
         Origin::Linear => (
             "Response: linear",
-            "The exposures agree that the files are linear, as 16-bit files are taken to be",
+            "The exposures agree that the files are linear, as raw and 16-bit files are taken to be",
         ),
         Origin::Recovered => (
             "Response: recovered",

@@ -33,6 +33,7 @@ mod ply;
 mod polygon;
 #[cfg(test)]
 mod programs;
+mod raw;
 mod reality_capture;
 mod sfm_data;
 #[cfg(test)]
@@ -139,6 +140,7 @@ pub struct Capture {
     /// Where lights are sought.
     pub light_hemisphere: LightHemisphere,
     /// Whether its photographs are single pictures of 8 bits, for each of which a camera may have chosen exposure and white balance.
+    /// Raw files are none: they are linear, share a white balance, and say how they were exposed.
     pub is_developed: bool,
     /// How photographs of several exposures were merged, if there are any.
     pub brackets: Option<Brackets>,

@@ -8,6 +8,7 @@ use super::isolated::isolated_pixels;
 use super::manifest::{Frame, Manifest};
 use super::mesh::Mesh;
 use super::picture::{self, Encoding, Mask, Picture};
+use super::raw::{self, WhiteBalance};
 use super::{Capture, LightHemisphere, Photograph, View, mesh_file, needs};
 use glam::{DAffine3, DVec2, DVec3};
 use rayon::prelude::*;
@@ -53,11 +54,14 @@ impl Capture {
         let firsts = needs::first_alike(&manifest.frames);
         let kept = kept(manifest.frames.len());
         needs::check(&manifest, &firsts, kept)?;
-        let read = |frame: &Frame| read_frame(&manifest, frame);
+        let exposures = manifest.frames.iter().flat_map(|frame| &frame.exposures);
+        let white = raw::white_balance(exposures.map(|exposure| exposure.path.as_path()));
+        let white = white.as_ref();
+        let read = |frame: &Frame| read_frame(&manifest, frame, white);
         let several = manifest.frames.iter().filter(|f| f.exposures.len() > 1);
         let response = brackets::response(&several.collect::<Vec<_>>(), &|frame| read(frame))?;
         let (photographs, mesh) = rayon::join(
-            || read_photographs(&manifest, &firsts, &response, kept),
+            || read_photographs(&manifest, &firsts, white, &response, kept),
             || {
                 let mesh_path = manifest.mesh_path.as_deref();
                 let file = mesh_file::find(&manifest.folder, mesh_path, &manifest.path)?;
@@ -175,7 +179,7 @@ pub fn read_radiance(path: &Path) -> Result<(u32, u32, Vec<[f32; 3]>), CaptureEr
 /// Reads a light probe: a lat-long picture of the light from everywhere, twice as wide as high, in floating point and with light in
 /// it. Linear radiance as stored, RGB, row by row from the top; negative values become zero.
 pub fn read_probe(path: &Path) -> Result<(u32, u32, Vec<[f32; 3]>), CaptureError> {
-    let picture = Picture::read(path, "file", true, &|_| Ok(()))?;
+    let picture = Picture::read(path, "file", true, None, &|_| Ok(()))?;
     let refused = |problem: String, advice: &str| {
         Err(CaptureError::NoProbe {
             path: path.to_owned(),
@@ -230,7 +234,7 @@ pub struct Covered {
 
 /// Reads any image file as linear radiance and coverage. Values that are not finite become zero.
 pub fn read_covered(path: &Path) -> Result<Covered, CaptureError> {
-    let picture = Picture::read(path, "file", true, &|_| Ok(()))?;
+    let picture = Picture::read(path, "file", true, None, &|_| Ok(()))?;
     let finite = |v: f32| if v.is_finite() { v } else { 0.0 };
     let pixels = picture.rgb.len();
     Ok(Covered {
@@ -264,6 +268,7 @@ struct Read {
 fn read_photographs(
     manifest: &Manifest,
     firsts: &[usize],
+    white: Option<&WhiteBalance>,
     response: &Response,
     kept: Kept,
 ) -> Result<Vec<Option<Read>>, CaptureError> {
@@ -273,7 +278,7 @@ fn read_photographs(
         .enumerate()
         .map(|(i, frame)| {
             let own = firsts[i] == i;
-            own.then(|| read_photograph(manifest, frame, response, kept))
+            own.then(|| read_photograph(manifest, frame, white, response, kept))
                 .transpose()
         })
         .collect();
@@ -284,10 +289,11 @@ fn read_photographs(
 fn read_photograph(
     manifest: &Manifest,
     frame: &Frame,
+    white: Option<&WhiteBalance>,
     response: &Response,
     kept: Kept,
 ) -> Result<Read, CaptureError> {
-    let merged = brackets::merge(read_frame(manifest, frame)?, response)?;
+    let merged = brackets::merge(read_frame(manifest, frame, white)?, response)?;
     let encoding = merged.picture.encoding;
     let mask = read_mask(manifest, frame, &merged.picture)?;
     let (photograph, counts) = clean(merged.picture, mask.as_ref());
@@ -336,7 +342,11 @@ fn read_mask(
     })
 }
 
-fn read_frame(manifest: &Manifest, frame: &Frame) -> Result<Vec<Part>, CaptureError> {
+fn read_frame(
+    manifest: &Manifest,
+    frame: &Frame,
+    white: Option<&WhiteBalance>,
+) -> Result<Vec<Part>, CaptureError> {
     frame
         .exposures
         .par_iter()
@@ -356,8 +366,8 @@ fn read_frame(manifest: &Manifest, frame: &Frame) -> Result<Vec<Part>, CaptureEr
                     stated_by: manifest.path.display().to_string(),
                 })
             };
-            let picture =
-                Picture::read(&exposure.path, &exposure.field, !manifest.as_stored, &check)?;
+            let turned = !manifest.as_stored;
+            let picture = Picture::read(&exposure.path, &exposure.field, turned, white, &check)?;
             Ok(Part {
                 path: exposure.path.clone(),
                 amount: exposure.settings.as_ref().map(Settings::amount),
@@ -398,7 +408,7 @@ struct Tally {
 impl Tally {
     fn count_encoding(&mut self, encoding: Encoding) {
         match encoding {
-            Encoding::Float => {}
+            Encoding::Float | Encoding::Raw => {}
             Encoding::Linear16 => self.single_linear += 1,
             Encoding::Srgb8 => self.single_srgb += 1,
         }

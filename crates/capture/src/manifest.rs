@@ -18,6 +18,7 @@ use super::brackets::Settings;
 use super::camera::{Camera, Distortion};
 use super::colmap;
 use super::error::CaptureError;
+use super::raw;
 use super::{reality_capture, sfm_data};
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3};
 use rekindle_base::files;
@@ -30,8 +31,13 @@ const MANIFESTS: [&str; 2] = ["transforms.json", "transforms_train.json"];
 /// Largest image side accepted, in pixels.
 const MAX_SIDE: f64 = 65_535.0;
 
-/// File name endings tried when `file_path` has none, in this order.
-const EXTENSIONS: [&str; 8] = ["exr", "png", "hdr", "tif", "tiff", "jpg", "jpeg", "JPG"];
+/// File name endings tried when `file_path` has none, in this order: what was made for this, what a camera measured, and what it
+/// made of that.
+const EXTENSIONS: [&[&str]; 3] = [
+    &["exr", "png", "hdr", "tif", "tiff"],
+    &raw::ENDINGS,
+    &["jpg", "jpeg"],
+];
 
 /// What a manifest says of the light hemisphere.
 #[derive(Debug, Default)]
@@ -649,16 +655,19 @@ fn resolve(folder: &Path, name: &str) -> PathBuf {
     if turned.is_file() {
         return turned;
     }
-    let added = EXTENSIONS.iter().map(|extension| {
+    // Cameras write their endings in capitals.
+    let as_written = |e: &&str| [(*e).to_owned(), e.to_uppercase()];
+    let endings = || EXTENSIONS.iter().copied().flatten().flat_map(as_written);
+    let added = endings().map(|ending| {
         let mut with_ending = turned.clone().into_os_string();
         with_ending.push(".");
-        with_ending.push(extension);
+        with_ending.push(ending);
         PathBuf::from(with_ending)
     });
     let own = turned.extension().unwrap_or_default();
-    let known = EXTENSIONS.iter().any(|e| own.eq_ignore_ascii_case(e));
-    let replaced = EXTENSIONS.iter().filter(|_| known);
-    let replaced = replaced.map(|e| turned.with_extension(e));
+    let known = endings().any(|ending| own.eq_ignore_ascii_case(ending));
+    let replaced = endings().filter(|_| known);
+    let replaced = replaced.map(|ending| turned.with_extension(ending));
     added
         .chain(replaced)
         .find(|candidate| candidate.is_file())

@@ -8,6 +8,8 @@
 //!   and pixels at full scale in any channel are saturated: they say only "at least this much". Alpha in
 //!   these files is straight and RGB gets multiplied by it after decoding. Their codes are kept, for brackets may tell
 //!   of another curve.
+//! * Camera raw files, by their ending: what the sensor measured, as `raw` develops it. The white level is 1, and saturated
+//!   there.
 //!
 //! Pictures are turned as their EXIF orientation says, unless only the picture as stored has the size that it should have,
 //! or its camera comes from COLMAP, which looks at pixels as they are stored.
@@ -15,6 +17,7 @@
 use super::brackets::srgb_to_linear;
 use super::clipping::mark_clipped;
 use super::error::CaptureError;
+use super::raw::{self, WhiteBalance};
 use exr::meta::header::Header;
 use exr::prelude::{FlatImage, FlatSamples, MetaData, ReadChannels, ReadLayers};
 use half::slice::HalfFloatSliceExt;
@@ -41,7 +44,10 @@ const HALF_MAX: f32 = 65_504.0;
 const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 
 /// Advice for files that end too early.
-const COPY_AGAIN: &str = "copy or export it anew";
+pub(super) const COPY_AGAIN: &str = "copy or export it anew";
+
+/// What may refuse a picture by its width and height, before its pixels are decoded.
+pub(super) type CheckSize<'a> = &'a dyn Fn((u32, u32)) -> Result<(), CaptureError>;
 
 /// How values were stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +58,8 @@ pub(super) enum Encoding {
     Linear16,
     /// 8 bits, sRGB-encoded, clipped at full scale.
     Srgb8,
+    /// A sensor's own, linear, clipped at its white level.
+    Raw,
 }
 
 /// A decoded image.
@@ -149,23 +157,28 @@ fn srgb_code(code: u8) -> f32 {
 }
 
 impl Picture {
-    /// Reads an image file that `field` of the manifest names, `turned` as its orientation says. `check_size` may refuse
-    /// its width and height before the pixels are decoded.
+    /// Reads an image file that `field` of the manifest names, `turned` as its orientation says, one of the camera that `white` is
+    /// for with that white balance. `check_size` may refuse its width and height before the pixels are decoded.
     pub(super) fn read(
         path: &Path,
         field: &str,
         turned: bool,
-        check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
+        white: Option<&WhiteBalance>,
+        check_size: CheckSize,
     ) -> Result<Self, CaptureError> {
-        Self::decode(path, &read_file(path, field)?, turned, check_size)
+        let bytes = read_file(path, field)?;
+        if raw::is_raw(path) {
+            return raw::read(path, bytes, turned, white, check_size);
+        }
+        Self::decode(path, &bytes, turned, check_size)
     }
 
-    /// Decodes the bytes of the image file `path`.
+    /// Decodes the bytes of the image file `path`, which is none of a camera's raw files.
     pub(super) fn decode(
         path: &Path,
         bytes: &[u8],
         turned: bool,
-        check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
+        check_size: CheckSize,
     ) -> Result<Self, CaptureError> {
         let mut picture = if bytes.starts_with(&EXR_MAGIC) {
             read_exr(path, bytes, check_size)?
@@ -186,6 +199,9 @@ pub(super) fn read_size(path: &Path, field: &str) -> Result<(u32, u32), CaptureE
         source,
     };
     check_there(path, field)?;
+    if raw::is_raw(path) {
+        return raw::read_size(path, read_file(path, field)?);
+    }
     let mut file = BufReader::new(files::open(path).map_err(unreadable)?);
     if file.fill_buf().map_err(unreadable)?.starts_with(&EXR_MAGIC) {
         let meta = MetaData::read_from_buffered(file, false)
@@ -234,7 +250,7 @@ pub fn exr_problem(error: &exr::error::Error) -> String {
     }
 }
 
-fn broken(path: &Path, problem: impl Into<String>, advice: &str) -> CaptureError {
+pub(super) fn broken(path: &Path, problem: impl Into<String>, advice: &str) -> CaptureError {
     CaptureError::ImageBroken {
         path: path.to_owned(),
         problem: problem.into(),
@@ -243,7 +259,7 @@ fn broken(path: &Path, problem: impl Into<String>, advice: &str) -> CaptureError
 }
 
 /// Refuses sizes that no real image has, before memory is allocated for them.
-fn check_pixels(path: &Path, width: u64, height: u64) -> Result<(), CaptureError> {
+pub(super) fn check_pixels(path: &Path, width: u64, height: u64) -> Result<(), CaptureError> {
     if width == 0 || height == 0 {
         return Err(broken(path, "it has no pixels", COPY_AGAIN));
     }
@@ -259,7 +275,7 @@ fn check_pixels(path: &Path, width: u64, height: u64) -> Result<(), CaptureError
 }
 
 /// Refuses more samples, in all channels and parts, than a file of so many bytes can hold.
-fn check_samples(path: &Path, bytes: &[u8], samples: u64) -> Result<(), CaptureError> {
+pub(super) fn check_samples(path: &Path, bytes: &[u8], samples: u64) -> Result<(), CaptureError> {
     if samples <= FREE_SAMPLES.saturating_add(SAMPLES_PER_BYTE * bytes.len() as u64) {
         return Ok(());
     }
@@ -354,11 +370,7 @@ fn find_layer(headers: &[Header]) -> Option<Layer> {
     best
 }
 
-fn read_exr(
-    path: &Path,
-    bytes: &[u8],
-    check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
-) -> Result<Picture, CaptureError> {
+fn read_exr(path: &Path, bytes: &[u8], check_size: CheckSize) -> Result<Picture, CaptureError> {
     let damaged = |error: exr::error::Error| broken(path, exr_problem(&error), COPY_AGAIN);
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
     let Some(layer) = find_layer(&meta.headers) else {
@@ -498,7 +510,7 @@ fn common_decoder<'a>(
     path: &Path,
     bytes: impl BufRead + Seek + 'a,
 ) -> Result<impl ImageDecoder + 'a, CaptureError> {
-    const KNOWN: &str = "use EXR, Radiance HDR, TIFF, PNG or JPEG";
+    const KNOWN: &str = "use EXR, Radiance HDR, TIFF, PNG, JPEG or a camera's raw file";
     let mut reader = ImageReader::new(bytes)
         .with_guessed_format()
         .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
@@ -519,7 +531,7 @@ fn common_decoder<'a>(
 }
 
 /// Width and height after turning.
-fn size_after((width, height): (u32, u32), orientation: Orientation) -> (u32, u32) {
+pub(super) fn size_after((width, height): (u32, u32), orientation: Orientation) -> (u32, u32) {
     match orientation {
         Orientation::Rotate90
         | Orientation::Rotate270
@@ -529,11 +541,26 @@ fn size_after((width, height): (u32, u32), orientation: Orientation) -> (u32, u3
     }
 }
 
+/// How a picture is turned: as its orientation says, unless it should only have the size that it has as it is stored.
+pub(super) fn orientation_for(
+    stored: (u32, u32),
+    stated: Orientation,
+    check_size: CheckSize,
+) -> Result<Orientation, CaptureError> {
+    let Err(error) = check_size(size_after(stored, stated)) else {
+        return Ok(stated);
+    };
+    if check_size(stored).is_err() {
+        return Err(error);
+    }
+    Ok(Orientation::NoTransforms)
+}
+
 fn read_common(
     path: &Path,
     bytes: &[u8],
     turned: bool,
-    check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
+    check_size: CheckSize,
 ) -> Result<Picture, CaptureError> {
     let image = decode_common(path, bytes, turned, check_size)?;
     let (width, height) = (image.width(), image.height());
@@ -562,7 +589,7 @@ fn decode_common(
     path: &Path,
     bytes: &[u8],
     turned: bool,
-    check_size: &dyn Fn((u32, u32)) -> Result<(), CaptureError>,
+    check_size: CheckSize,
 ) -> Result<DynamicImage, CaptureError> {
     let mut decoder = common_decoder(path, Cursor::new(bytes))?;
     let stored = decoder.dimensions();
@@ -573,17 +600,12 @@ fn decode_common(
         bytes,
         channels * u64::from(stored.0) * u64::from(stored.1),
     )?;
-    let mut orientation = if turned {
+    let stated = if turned {
         decoder.orientation().unwrap_or(Orientation::NoTransforms)
     } else {
         Orientation::NoTransforms
     };
-    if let Err(error) = check_size(size_after(stored, orientation)) {
-        if check_size(stored).is_err() {
-            return Err(error);
-        }
-        orientation = Orientation::NoTransforms;
-    }
+    let orientation = orientation_for(stored, stated, check_size)?;
     let mut image = DynamicImage::from_decoder(decoder)
         .map_err(|error| broken(path, error.to_string(), COPY_AGAIN))?;
     image.apply_orientation(orientation);

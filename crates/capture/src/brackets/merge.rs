@@ -36,7 +36,7 @@ fn variance(value: f64, step: f64) -> f64 {
 fn code_width(encoding: Encoding) -> f64 {
     match encoding {
         Encoding::Srgb8 => 1.0,
-        Encoding::Linear16 | Encoding::Float => 255.0 * FINE_STEP,
+        Encoding::Linear16 | Encoding::Float | Encoding::Raw => 255.0 * FINE_STEP,
     }
 }
 

@@ -174,7 +174,8 @@ pub(super) fn response<T: Copy>(
     let mut assumed = Origin::Srgb;
     for &bracket in brackets.iter().step_by(step) {
         let parts = read(bracket)?;
-        let linear = |part: &Part| part.picture.encoding == Encoding::Linear16;
+        let linear =
+            |part: &Part| matches!(part.picture.encoding, Encoding::Linear16 | Encoding::Raw);
         if samples.is_empty() && parts.iter().any(linear) {
             assumed = Origin::Linear;
         }

@@ -8,17 +8,22 @@ use super::table::{TABLE, Table};
 use crate::error::CaptureError;
 use crate::manifest::Manifest;
 use crate::picture::Picture;
+use crate::raw::{self, WhiteBalance};
 use rayon::prelude::*;
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-/// Endings of the files that are taken for photographs.
+/// Endings of the files that are taken for photographs, beside those of raw files.
 const ENDINGS: [&str; 7] = ["jpg", "jpeg", "png", "tif", "tiff", "exr", "hdr"];
+const JPEG: [&str; 2] = ["jpg", "jpeg"];
 
 /// Photographs in groups that are to be merged.
 #[derive(Debug)]
 pub struct Photos {
     /// At least one.
     pub groups: Vec<Group>,
+    /// What raw files of its camera are developed with.
+    white: Option<WhiteBalance>,
 }
 
 /// A group merged to linear radiance.
@@ -75,7 +80,13 @@ impl Photos {
         check_known(&photos)?;
         let groups = group(photos);
         check_brackets(&groups)?;
-        Ok(Self { groups })
+        Ok(Self::of(groups))
+    }
+
+    fn of(groups: Vec<Group>) -> Self {
+        let photos = groups.iter().flat_map(|group| &group.photos);
+        let white = raw::white_balance(photos.map(|photo| photo.path.as_path()));
+        Self { groups, white }
     }
 
     fn of_manifest(path: &Path, table: &Table) -> Result<Self, CaptureError> {
@@ -100,13 +111,13 @@ impl Photos {
         });
         let mut groups: Vec<Group> = photos.collect();
         super::groups::tell_apart(&mut groups);
-        Ok(Self { groups })
+        Ok(Self::of(groups))
     }
 
     /// The response of the camera that took them all.
     pub fn response(&self) -> Result<Response, CaptureError> {
         let several: Vec<&Group> = self.groups.iter().filter(|g| g.photos.len() > 1).collect();
-        super::response(&several, &|group: &Group| read(group))
+        super::response(&several, &|group: &Group| self.read(group))
     }
 
     /// Merges one of the groups.
@@ -115,7 +126,7 @@ impl Photos {
             picture,
             uses,
             warnings,
-        } = merge(read(&self.groups[group])?, response)?;
+        } = merge(self.read(&self.groups[group])?, response)?;
         let clipped = picture.saturated.iter().zip(picture.rgb);
         Ok(MergedPhoto {
             width: picture.width,
@@ -129,22 +140,34 @@ impl Photos {
             warnings,
         })
     }
-}
 
-/// Decodes the files of a group.
-fn read(group: &Group) -> Result<Vec<Part>, CaptureError> {
-    let parts: Vec<Result<Part, CaptureError>> = group
-        .photos
-        .par_iter()
-        .map(|photo| {
+    /// Decodes the files of a group.
+    fn read(&self, group: &Group) -> Result<Vec<Part>, CaptureError> {
+        let white = self.white.as_ref();
+        let read = |photo: &Photo| {
             Ok(Part {
                 path: photo.path.clone(),
                 amount: photo.shot.settings.as_ref().map(Settings::amount),
-                picture: Picture::read(&photo.path, "the command", true, &|_| Ok(()))?,
+                picture: Picture::read(&photo.path, "the command", true, white, &|_| Ok(()))?,
             })
-        })
+        };
+        let parts: Vec<Result<Part, CaptureError>> = group.photos.par_iter().map(read).collect();
+        parts.into_iter().collect()
+    }
+}
+
+/// Whether a file of a folder is taken for a photograph.
+fn is_photograph(path: &Path) -> bool {
+    has_ending(path, &ENDINGS) || raw::is_raw(path)
+}
+
+/// Leaves the JPEG files out that cameras write beside raw files: each is the same photograph once more.
+fn leave_out_doubles(files: &mut Vec<PathBuf>) {
+    let raw: HashSet<PathBuf> = (files.iter())
+        .filter(|path| raw::is_raw(path))
+        .map(|path| path.with_extension(""))
         .collect();
-    parts.into_iter().collect()
+    files.retain(|path| !has_ending(path, &JPEG) || !raw.contains(&path.with_extension("")));
 }
 
 fn has_ending(path: &Path, endings: &[&str]) -> bool {
@@ -187,17 +210,18 @@ fn add_files(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), CaptureError> 
             files.extend(
                 inside
                     .into_iter()
-                    .filter(|p| p.is_file() && has_ending(p, &ENDINGS)),
+                    .filter(|p| p.is_file() && is_photograph(p)),
             );
-        } else if has_ending(&entry, &ENDINGS) {
+        } else if is_photograph(&entry) {
             files.push(entry);
         }
     }
+    leave_out_doubles(files);
     if files.len() == before {
         return Err(refusal(
             path,
             "no photographs in this folder".to_owned(),
-            "give a folder of JPEG, PNG, TIFF, EXR or HDR files, or the files themselves",
+            "give a folder of raw, JPEG, PNG, TIFF, EXR or HDR files, or the files themselves",
         ));
     }
     Ok(())

@@ -1,6 +1,9 @@
 //! What a file's EXIF data say of how it was taken.
 
+use crate::raw;
 use exif::{Exif, In, Reader, Tag, Value};
+use rawler::decoders::RawMetadata;
+use rawler::formats::tiff::{Rational, SRational};
 use rekindle_base::files;
 use std::io::{BufRead, BufReader, Seek};
 use std::path::Path;
@@ -46,6 +49,13 @@ pub struct Shot {
 impl Shot {
     /// Reads what a file says; a file without EXIF data says nothing.
     pub fn read(path: &Path) -> Self {
+        // Many makers keep EXIF data where only a decoder of their own files finds them.
+        let metadata = || raw::metadata(path, files::read(path).ok()?);
+        if raw::is_raw(path)
+            && let Some(metadata) = metadata()
+        {
+            return Self::of_raw(&metadata);
+        }
         files::open(path).map_or_else(
             |_| Self::default(),
             |file| Self::parse(&mut BufReader::new(file)),
@@ -76,6 +86,40 @@ impl Shot {
             taken: taken(exif),
         }
     }
+
+    /// What the metadata of a raw file say.
+    fn of_raw(metadata: &RawMetadata) -> Self {
+        let exif = &metadata.exif;
+        let stated = Stated {
+            time: above_zero(ratio(exif.exposure_time.as_ref())),
+            time_value: signed_ratio(exif.shutter_speed_value.as_ref()),
+            f_number: above_zero(ratio(exif.fnumber.as_ref())),
+            aperture_value: ratio(exif.aperture_value.as_ref()),
+            sensitivities: [
+                exif.iso_speed_ratings.map(f64::from),
+                exif.recommended_exposure_index.map(f64::from),
+                None,
+                exif.iso_speed.map(f64::from),
+            ]
+            .map(above_zero),
+        };
+        let date = exif
+            .date_time_original
+            .as_ref()
+            .or(exif.modify_date.as_ref());
+        let fraction = exif.sub_sec_time_original.as_deref().unwrap_or_default();
+        Self {
+            settings: stated.settings(),
+            setup: vec![
+                metadata.make.clone(),
+                metadata.model.clone(),
+                exif.serial_number.clone().unwrap_or_default(),
+                format!("{:?}", exif.orientation),
+                format!("{:?}", ratio(exif.focal_length.as_ref())),
+            ],
+            taken: date.and_then(|date| seconds(date.as_bytes(), fraction)),
+        }
+    }
 }
 
 /// A positive, finite number of a field.
@@ -95,48 +139,88 @@ fn number(exif: &Exif, tag: Tag) -> Option<f64> {
 }
 
 fn settings(exif: &Exif) -> Option<Settings> {
-    // APEX values state the time as −log₂ and the aperture as 2 log₂; 0/0 stands for unknown.
-    let time = positive(exif, Tag::ExposureTime)
-        .or_else(|| number(exif, Tag::ShutterSpeedValue).map(|tv| (-tv).exp2()))
-        .filter(|&time| (1e-7..1e6).contains(&time))?;
-    let f_number = positive(exif, Tag::FNumber)
-        .or_else(|| number(exif, Tag::ApertureValue).map(|av| (0.5 * av).exp2()))
-        .filter(|f| (1e-3..1e6).contains(f));
-    // Sensitivities that 16 bits can't hold are stated as 65535, with the number elsewhere.
-    let iso = positive(exif, Tag::PhotographicSensitivity)
-        .filter(|&iso| iso < 65_535.0)
-        .or_else(|| positive(exif, Tag::RecommendedExposureIndex))
-        .or_else(|| positive(exif, Tag::StandardOutputSensitivity))
-        .or_else(|| positive(exif, Tag::ISOSpeed));
-    Some(Settings {
-        time,
-        f_number: f_number.filter(|n| (0.1..1e3).contains(n)),
-        iso: iso.filter(|iso| (0.1..1e8).contains(iso)),
-    })
+    let sensitivities = [
+        Tag::PhotographicSensitivity,
+        Tag::RecommendedExposureIndex,
+        Tag::StandardOutputSensitivity,
+        Tag::ISOSpeed,
+    ];
+    let stated = Stated {
+        time: positive(exif, Tag::ExposureTime),
+        time_value: number(exif, Tag::ShutterSpeedValue),
+        f_number: positive(exif, Tag::FNumber),
+        aperture_value: number(exif, Tag::ApertureValue),
+        sensitivities: sensitivities.map(|tag| positive(exif, tag)),
+    };
+    stated.settings()
 }
 
-/// Seconds of the time of day, with days long enough to be told apart.
+/// What EXIF data state of an exposure, in all the ways that they can.
+struct Stated {
+    /// Seconds.
+    time: Option<f64>,
+    /// The same as an APEX value, −log₂.
+    time_value: Option<f64>,
+    /// Aperture number.
+    f_number: Option<f64>,
+    /// The same as an APEX value, 2 log₂.
+    aperture_value: Option<f64>,
+    /// ISO sensitivities, the one that is meant first.
+    sensitivities: [Option<f64>; 4],
+}
+
+impl Stated {
+    fn settings(self) -> Option<Settings> {
+        // 0/0 stands for unknown.
+        let time = (self.time)
+            .or_else(|| self.time_value.map(|tv| (-tv).exp2()))
+            .filter(|&time| (1e-7..1e6).contains(&time))?;
+        let f_number = (self.f_number)
+            .or_else(|| self.aperture_value.map(|av| (0.5 * av).exp2()))
+            .filter(|f| (1e-3..1e6).contains(f));
+        // Sensitivities that 16 bits can't hold are stated as 65535, with the number elsewhere.
+        let [first, others @ ..] = self.sensitivities;
+        let iso = first.filter(|&iso| iso < 65_535.0);
+        let iso = others.into_iter().fold(iso, Option::or);
+        Some(Settings {
+            time,
+            f_number: f_number.filter(|n| (0.1..1e3).contains(n)),
+            iso: iso.filter(|iso| (0.1..1e8).contains(iso)),
+        })
+    }
+}
+
+/// A positive, finite number.
+fn above_zero(value: Option<f64>) -> Option<f64> {
+    value.filter(|v| v.is_finite() && *v > 0.0)
+}
+
+fn ratio(value: Option<&Rational>) -> Option<f64> {
+    let value = value.map(|v| f64::from(v.n) / f64::from(v.d));
+    value.filter(|v| v.is_finite())
+}
+
+fn signed_ratio(value: Option<&SRational>) -> Option<f64> {
+    let value = value.map(|v| f64::from(v.n) / f64::from(v.d));
+    value.filter(|v| v.is_finite())
+}
+
 fn taken(exif: &Exif) -> Option<f64> {
-    let field = [Tag::DateTimeOriginal, Tag::DateTime]
-        .into_iter()
-        .find_map(|tag| exif.get_field(tag, In::PRIMARY))?;
-    let Value::Ascii(lines) = &field.value else {
-        return None;
+    let lines = |tag: Tag| match &exif.get_field(tag, In::PRIMARY)?.value {
+        Value::Ascii(lines) => lines.first(),
+        _ => None,
     };
-    let time = exif::DateTime::from_ascii(lines.first()?).ok()?;
+    let date = lines(Tag::DateTimeOriginal).or_else(|| lines(Tag::DateTime))?;
+    let digits = lines(Tag::SubSecTimeOriginal).map_or(&[][..], Vec::as_slice);
+    seconds(date, &String::from_utf8_lossy(digits))
+}
+
+/// Seconds of a date as EXIF data write it, with the digits of its fraction, and with days long enough to be told apart.
+fn seconds(date: &[u8], fraction: &str) -> Option<f64> {
+    let time = exif::DateTime::from_ascii(date).ok()?;
     let months = f64::from(time.year) * 12.0 + f64::from(time.month);
     let days = months * 31.0 + f64::from(time.day);
     let minutes = (days * 24.0 + f64::from(time.hour)) * 60.0 + f64::from(time.minute);
-    let fraction = match exif
-        .get_field(Tag::SubSecTimeOriginal, In::PRIMARY)
-        .map(|f| &f.value)
-    {
-        Some(Value::Ascii(lines)) => {
-            let digits = lines.first().map_or(&[][..], Vec::as_slice);
-            let text = String::from_utf8_lossy(digits);
-            format!("0.{}", text.trim()).parse().unwrap_or(0.0)
-        }
-        _ => 0.0,
-    };
+    let fraction = format!("0.{}", fraction.trim()).parse().unwrap_or(0.0);
     Some(minutes * 60.0 + f64::from(time.second) + fraction)
 }

@@ -221,7 +221,7 @@ fn pictures_are_turned_as_their_orientation_says() {
     )
     .expect("written");
     let read = |size: Option<(u32, u32)>| {
-        Picture::read(&upright, "file", true, &move |found| {
+        Picture::read(&upright, "file", true, None, &move |found| {
             if size.is_none_or(|size| size == found) {
                 return Ok(());
             }

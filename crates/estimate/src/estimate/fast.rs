@@ -22,7 +22,7 @@ use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
 use super::merging::merge_lamps;
 use super::misfit::Misfit;
-use super::observations::{Candidate, Observations, Row, Sampling, Seen, widest};
+use super::observations::{Candidate, Observations, Row, Sampling, Seen, pixels_inside, widest};
 use super::observer::{Interim, Iteration, Observer, Stopped, Unobserved, go_on};
 use super::spread::even_out;
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
@@ -215,9 +215,7 @@ impl<'a> Solver<'a> {
             mesh: &input.capture.mesh,
             views: &input.capture.views,
             surfaces: input.surfaces,
-            pixels: (input.surfaces.iter())
-                .map(|s| s.interior.iter().filter(|&&i| i).count())
-                .sum(),
+            pixels: pixels_inside(input.surfaces),
             parts: None,
             mirrored: input.first.map(|first| first.mirrored),
             turning,

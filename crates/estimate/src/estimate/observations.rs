@@ -60,6 +60,12 @@ impl Seen<'_> {
     }
 }
 
+/// Pixels inside the outlines of what views see of a surface.
+pub fn pixels_inside(surfaces: &[ViewSurface]) -> usize {
+    let inside = |surface: &ViewSurface| surface.interior.iter().filter(|&&inside| inside).count();
+    surfaces.iter().map(inside).sum()
+}
+
 /// The widest lobe of some glosses, where `brdf` is the main one.
 pub fn widest(brdf: &Brdf, glosses: &[Gloss]) -> Brdf {
     let shown = glosses.iter().filter(|gloss| gloss.strength > 0.0);
