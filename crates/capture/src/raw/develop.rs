@@ -153,7 +153,7 @@ fn of_mosaic(image: RawImage, place: Place, pattern: &CFAConfig) -> Result<Devel
     let mut samples = samples(&image, area, place.origin)?;
     // Pictures are large: what is not needed any more goes.
     drop(image);
-    let cfa = pattern.cfa.shift(area.p.x, area.p.y);
+    let cfa = colours(&pattern.cfa, area.p, place.origin);
     cool(&mut samples, &cfa);
     let clipped = samples.reached();
     let bounds = clipped
@@ -175,6 +175,18 @@ fn of_mosaic(image: RawImage, place: Place, pattern: &CFAConfig) -> Result<Devel
             .flat_map(|row| clipped[row].iter().copied())
             .collect(),
     })
+}
+
+/// The pattern of colours from `first` on. Of DNG files the decoder moves it from the corner of the active area, `origin`, on by as
+/// much once more, where it should have moved it back to the sensor's; of others it begins at the sensor's corner.
+fn colours(cfa: &CFA, first: Point, origin: Point) -> CFA {
+    let along = |first: usize, origin: usize, side: usize| {
+        (first % side + 2 * (side - origin % side)) % side
+    };
+    cfa.shift(
+        along(first.x, origin.x, cfa.width),
+        along(first.y, origin.y, cfa.height),
+    )
 }
 
 /// The camera's RGB of a file that has all three colours of each pixel.

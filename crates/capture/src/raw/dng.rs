@@ -1,4 +1,4 @@
-//! Small DNG files for tests: a Bayer sensor that sees a known scene, uncompressed.
+//! Small DNG files for tests: a sensor that sees a known scene, uncompressed.
 
 use glam::{DMat3, DVec3};
 
@@ -18,12 +18,12 @@ pub(crate) struct Dng {
     pub active: [u32; 4],
     /// First column and row of the picture in there, and its size.
     pub crop: [u32; 4],
-    /// Black level at even and odd columns of even rows, and of odd rows, from the active area's corner.
+    /// Black level at even and odd columns of even rows, and of odd rows, from the active area's corner; or of three channels.
     pub black: [u16; 4],
     /// White level.
     pub white: u16,
-    /// Colours of 2×2 samples from the active area's corner, and how many sorts of channels a pixel has.
-    pub pattern: [u8; 4],
+    /// Colours of a square of samples from the active area's corner; none where each pixel has all three.
+    pub pattern: Vec<u8>,
     /// What a grey thing gives, in parts of green.
     pub neutral: [f64; 3],
     /// EXIF orientation.
@@ -52,7 +52,7 @@ impl Default for Dng {
             crop: [4, 2, 40, 36],
             black: [510, 512, 514, 520],
             white: 15_000,
-            pattern: [0, 1, 1, 2],
+            pattern: vec![0, 1, 1, 2],
             neutral: [0.5, 1.0, 0.625],
             orientation: 1,
             time: 1.0,
@@ -70,25 +70,38 @@ impl Dng {
         let mut samples = Vec::new();
         for (row, column) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
             let inside = (top..bottom).contains(&row) && (left..right).contains(&column);
-            // Ahead of the active area the patterns go on.
-            let place = ((row + 2 - top % 2) % 2 * 2 + (column + 2 - left % 2) % 2) as usize;
             let x = f64::from(column) - f64::from(left + self.crop[0]);
             let y = f64::from(row) - f64::from(top + self.crop[1]);
             let camera = balanced_from_srgb() * DVec3::from(scene(x, y)) * neutral * self.time;
-            let light = if inside {
-                camera[usize::from(self.pattern[place])]
-            } else {
-                0.0
+            // Ahead of the active area the patterns go on.
+            let place = |side: u32| {
+                let [row, column] = [row + side - top % side, column + side - left % side];
+                (row % side * side + column % side) as usize
             };
-            let black = f64::from(self.black[place]);
-            let sample = black + light * (f64::from(self.white) - black);
-            samples.extend((sample.round().clamp(0.0, f64::from(self.white)) as u16).to_le_bytes());
+            let side = self.pattern.len().isqrt() as u32;
+            let channels = if side == 0 {
+                0..3
+            } else {
+                let colour = usize::from(self.pattern[place(side)]);
+                colour..colour + 1
+            };
+            for channel in channels {
+                let light = if inside { camera[channel] } else { 0.0 };
+                let black = f64::from(self.black[if side == 0 { channel } else { place(2) }]);
+                let sample = black + light * (f64::from(self.white) - black);
+                let sample = sample.round().clamp(0.0, f64::from(self.white)) as u16;
+                samples.extend(sample.to_le_bytes());
+            }
         }
-        self.file(&samples, &self.pattern)
+        self.file(&samples)
     }
 
     /// The file with these bytes as samples.
-    fn file(&self, samples: &[u8], pattern: &[u8]) -> Vec<u8> {
+    fn file(&self, samples: &[u8]) -> Vec<u8> {
+        let side = self.pattern.len().isqrt() as u16;
+        let is_linear = side == 0;
+        let channels = if is_linear { 3 } else { 1 };
+        let blacks = if is_linear { 1 } else { 2 };
         let camera_from_xyz =
             DMat3::from_diagonal(self.neutral.into()) * balanced_from_srgb() * SRGB_FROM_XYZ;
         let matrix: Vec<f64> = camera_from_xyz.transpose().to_cols_array().into();
@@ -108,23 +121,32 @@ impl Dng {
             entry(254, &Value::Longs(&[0])),
             entry(256, &Value::Longs(&[self.size[0]])),
             entry(257, &Value::Longs(&[self.size[1]])),
-            entry(258, &Value::Shorts(&[16])),
+            entry(258, &Value::Shorts(&[16].repeat(channels))),
             entry(259, &Value::Shorts(&[1])),
-            entry(262, &Value::Shorts(&[32_803])),
+            entry(
+                262,
+                &Value::Shorts(&[if is_linear { 34_892 } else { 32_803 }]),
+            ),
             entry(271, &Value::Text(b"Test\0")),
             entry(272, &Value::Text(b"Box\0")),
             entry(273, &Value::Longs(&[8])),
             entry(274, &Value::Shorts(&[self.orientation])),
-            entry(277, &Value::Shorts(&[1])),
+            entry(277, &Value::Shorts(&[channels as u16])),
             entry(278, &Value::Longs(&[self.size[1]])),
             entry(279, &Value::Longs(&[samples.len() as u32])),
-            entry(33_421, &Value::Shorts(&[2, 2])),
-            entry(33_422, &Value::Bytes(pattern)),
+            entry(33_421, &Value::Shorts(&[side, side])),
+            entry(33_422, &Value::Bytes(&self.pattern)),
             entry(34_665, &Value::Longs(&[exif_at])),
             entry(50_706, &Value::Bytes(&[1, 4, 0, 0])),
-            entry(50_713, &Value::Shorts(&[2, 2])),
-            entry(50_714, &Value::Shorts(&self.black)),
-            entry(50_717, &Value::Longs(&[u32::from(self.white)])),
+            entry(50_713, &Value::Shorts(&[blacks, blacks])),
+            entry(
+                50_714,
+                &Value::Shorts(&self.black[..self.black.len() - channels / 3]),
+            ),
+            entry(
+                50_717,
+                &Value::Longs(&[u32::from(self.white)].repeat(channels)),
+            ),
             entry(50_719, &Value::Longs(&[x, y])),
             entry(50_720, &Value::Longs(&[width, height])),
             entry(50_721, &Value::SignedRatios(&matrix)),

@@ -64,11 +64,36 @@ fn grey_is_grey_to_the_last_digit_that_the_sensor_has() {
     let grey = |_: f64, _: f64| [0.2; 3];
     for pattern in [[0, 1, 1, 2], [2, 1, 1, 0], [1, 0, 2, 1], [1, 2, 0, 1]] {
         let photograph = Dng {
-            pattern,
+            pattern: pattern.to_vec(),
             ..Dng::default()
         };
         let off = difference(&developed(&photograph.bytes(grey)), grey);
         assert!(off < 1e-3, "{off} with {pattern:?}");
+    }
+}
+
+#[test]
+fn other_sensors_and_files_that_have_all_colours_come_out_alike() {
+    let x_trans = [
+        [1, 1, 0, 1, 1, 2],
+        [1, 1, 2, 1, 1, 0],
+        [2, 0, 1, 0, 2, 1],
+        [1, 1, 2, 1, 1, 0],
+        [1, 1, 0, 1, 1, 2],
+        [0, 2, 1, 2, 0, 1],
+    ];
+    for (pattern, tolerance) in [(x_trans.as_flattened().to_vec(), 0.05), (Vec::new(), 1e-3)] {
+        let photograph = Dng {
+            pattern,
+            ..Dng::default()
+        };
+        let picture = developed(&photograph.bytes(scene));
+        let off = difference(&picture, scene);
+        assert!(off < tolerance, "{off}");
+        let bright = developed(&photograph.bytes(|_, _| [2.0; 3]));
+        assert!(bright.saturated.iter().all(|&clipped| clipped));
+        let off = |v: &f32| (v - 1.0).abs();
+        assert!(bright.rgb.as_flattened().iter().all(|v| off(v) < 1e-3));
     }
 }
 
