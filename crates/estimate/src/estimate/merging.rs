@@ -3,10 +3,11 @@
 //! Non-negative least squares gives a lamp about as wide as the lobe as a ring of spikes, with gaps that a person would
 //! take for the space between lamps. Only the data can tell: for lamps nearer to each other than the lobe's width two
 //! lights are compared, the uniform ellipse that fits best, and one for each of them with its flux, centroid and second
-//! moments. The one leaves more than the several where lamps do lie apart, and hardly more or less where they are parts of
-//! one lamp.
+//! moments. The one leaves more than the several where lamps do lie apart, all over the surface, and hardly more or less, or more here and
+//! less there, where they are parts of one lamp.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::sync::atomic::Ordering;
 
 use faer::linalg::solvers::Solve;
@@ -21,6 +22,7 @@ use super::fast::Solver;
 use super::observations::Observations;
 use super::state::State;
 use rekindle_base::math::groups::linked_groups;
+use rekindle_base::math::ranks::{SURE, placed_signed_ranks};
 use rekindle_scene::hemisphere::{HemisphereGrid, Lamp, find_lamps};
 
 /// Parts of lamps with a larger radius, in widths of the lobe, show the lamp's own shape and not an ellipse.
@@ -214,11 +216,16 @@ impl Judge<'_> {
         let present = self.state.squares();
         let variance = present / (3.0 * self.state.weights.len() as f64);
         let noise = MOST_NOISE * variance * (parts.len() - 1) as f64;
-        let several = place.with(&several).left - present;
-        let (ellipse, left) = place.fit(start);
-        let is_one =
-            left - present < MOST_RATIO * f64::from(ellipse.roundness()) * several.max(0.0) + noise;
-        is_one.then_some(Merged { lamp, ellipse })
+        let several = place.with(&several);
+        let (ellipse, one) = place.fit(start);
+        let by_several = (several.left - present).max(0.0);
+        let is_as_good =
+            one.left - present < MOST_RATIO * f64::from(ellipse.roundness()) * by_several + noise;
+        let is_one = is_as_good || place.is_by_chance(&one, &several);
+        is_one.then(|| Merged {
+            lamp,
+            ellipse: ellipse.times(one.factor.as_vec3()),
+        })
     }
 }
 
@@ -308,9 +315,27 @@ impl<'a> Place<'a> {
         }
     }
 
-    /// The ellipse that leaves least, and what it leaves, sought from one that leaves little by Gauss-Newton steps on place and
+    /// Whether chance may decide that one light leaves more than another: where normals are off, as on scans, several lights explain some
+    /// of them better than one does, but not all over the surface.
+    fn is_by_chance(&self, one: &Shown, other: &Shown) -> bool {
+        let left = |shown: &Shown, rows: Range<usize>| -> f64 {
+            let of_row = |k: usize| {
+                let residual = self.residuals[k] - shown.factor * shown.values[k];
+                f64::from(self.judge.state.weights[k]) * residual.length_squared()
+            };
+            rows.map(of_row).sum()
+        };
+        let points = self.judge.observations.points.iter();
+        let pairs = points.map(|point| {
+            let [one, other] = [one, other].map(|shown| left(shown, point.rows.clone()));
+            (point.position, one, other)
+        });
+        placed_signed_ranks(&pairs.collect::<Vec<_>>()) <= SURE
+    }
+
+    /// The ellipse that leaves least, and what it shows, sought from one that leaves little by Gauss-Newton steps on place and
     /// shape, the strength eliminated.
-    fn fit(&self, start: Ellipse) -> (Ellipse, f64) {
+    fn fit(&self, start: Ellipse) -> (Ellipse, Shown) {
         let grid = self.judge.solver.grid;
         let (mut ellipse, mut shown) = (start, self.with(&light(start.nodes(grid))));
         for _ in 0..ROUNDS {
@@ -330,7 +355,7 @@ impl<'a> Place<'a> {
                 break;
             }
         }
-        (ellipse.times(shown.factor.as_vec3()), shown.left)
+        (ellipse, shown)
     }
 
     /// A Gauss-Newton step of an ellipse.
