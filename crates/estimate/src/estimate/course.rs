@@ -5,13 +5,15 @@ use super::SpecularChoice;
 use super::below::{AllAround, is_lit_from_below};
 use super::fast::{CoarseFit, Fit, Solver, Watch};
 use super::gloss;
-use super::held_out::{CHANCE, leaves_less, predicts_better, roughly_left_out, shows_gloss};
+use super::held_out::{
+    CHANCE, leaves_less, predicts_better, roughly_left_out, shows_gloss, sparse,
+};
 use super::observations::Seen;
 use super::observer::{Interim, Stopped, go_on};
 use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::state::{ROUGH, State};
 use super::suspects::{Suspicion, left};
-use super::{diagnose, exposures};
+use super::{diagnose, exposures, strengths};
 use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
@@ -215,7 +217,7 @@ fn with_parts<R>(
     watch: &mut Watch<'_>,
     then: impl FnOnce(&Solver<'_>, Start<'_>, &mut Watch<'_>) -> Result<R, Stopped>,
 ) -> Result<R, Stopped> {
-    let faint = match patches(solver, &start.coarse, choice, watch)? {
+    let faint = match patches(solver, &start.coarse, watch)? {
         Patches::Clear(parts) => {
             let parted = solver.parted(&parts);
             if let Some(start) = better(&parted, (solver, &start.coarse), choice, watch)? {
@@ -237,8 +239,11 @@ fn better<'s>(
     watch: &mut Watch<'_>,
 ) -> Result<Option<Start<'s>>, Stopped> {
     let (coarse, because) = choose(parted, choice, watch)?;
+    // Lights that only parts make room for explain much by accident.
+    let is_shown = || is_glossy(solver, without) || shows_gloss(coarse.left_out(parted));
     let is_better = explains_better(&coarse, without)
-        && predicts_better(coarse.left_out(parted), without.left_out(solver));
+        && predicts_better(coarse.left_out(parted), without.left_out(solver))
+        && is_shown();
     Ok(is_better.then_some(Start::of(coarse, because)))
 }
 
@@ -251,8 +256,7 @@ fn on_parts(
     watch: &mut Watch<'_>,
 ) -> Result<Option<Ending>, Stopped> {
     let parted = solver.parted(parts);
-    let start = better(&parted, (solver, coarse), choice, watch)?;
-    let Some(start) = start.filter(|start| is_glossy(&parted, &start.coarse)) else {
+    let Some(start) = better(&parted, (solver, coarse), choice, watch)? else {
         return Ok(None);
     };
     let with = (choice, Causes::All);
@@ -441,7 +445,6 @@ enum Patches {
 fn patches(
     solver: &Solver<'_>,
     coarse: &CoarseFit<'_>,
-    choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Patches, Stopped> {
     let is_provisional = solver.is_provisional();
@@ -452,12 +455,22 @@ fn patches(
         return Ok(Patches::None);
     };
     let parted = solver.parted(&strengths);
-    let (fit, _) = choose(&parted, choice, watch)?;
-    if !explains_better(&fit, coarse) {
+    let model = coarse.state.brdf.model;
+    let lights = strengths::SIGMAS.map(|sigma| sparse(&parted, Brdf::new(model, sigma)));
+    let Some((_, lights)) = lights.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)) else {
         return Ok(Patches::None);
-    }
-    Ok(match parted.gloss_parts(&fit.state, [gloss::WORTH, 1.0]) {
-        Some((worth, parts, _)) if worth < 1.0 => Patches::Clear(parts),
+    };
+    // Two glosses tell the lights better than strengths do, and these the glosses.
+    let Some((two, main)) = parted.two_glosses(&lights) else {
+        return Ok(Patches::None);
+    };
+    let parted = solver.parted(&two);
+    let (_, lights) = sparse(
+        &parted,
+        Brdf::new(model, main.roughness * lights.brdf.sigma),
+    );
+    Ok(match parted.gloss_parts(&lights, [SURE, CHANCE]) {
+        Some((SURE, parts, _)) => Patches::Clear(parts),
         Some((_, parts, _)) => Patches::Faint(parts),
         None => Patches::None,
     })

@@ -16,7 +16,6 @@ use rayon::prelude::*;
 
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
-use super::gloss;
 use super::held_out::{Left, left_out, predicts_better};
 use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
@@ -31,6 +30,7 @@ use super::turntable::Turning;
 use super::visibility::{SeenCells, cell_visibility};
 use super::workspace::Workspace;
 use super::{Estimate, EstimateInput};
+use rekindle_base::math::ranks::SURE;
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::{Shortcut, Shortcuts};
@@ -409,7 +409,7 @@ impl Solver<'_> {
         let is_even = self.first.is_some_and(|first| first.parts.is_none());
         let is_stated = self.sigma.is_some();
         let found = if rounds > 0 && !is_even && !is_stated && !self.is_provisional() {
-            self.gloss_parts(&state, [gloss::WORTH])
+            self.gloss_parts(&state, [SURE])
         } else {
             None
         };
@@ -689,16 +689,26 @@ impl Solver<'_> {
     /// A design of the coarsest cells that knows which of them the coarse points see, whatever the lobe. `observations` are these points,
     /// whatever they show.
     pub fn coarse_design<'s>(&'s self, observations: &'s Observations) -> Design<'s> {
-        let roots = self.pyramid.roots();
-        let mut design = self.design(observations, &roots);
-        let sees = || self.sees(&design, &roots);
-        design.seen = self.coarse_sees.get_or_init(sees).clone();
-        design
+        let sees = || self.roots_design(observations, self.near).seen;
+        Design {
+            seen: self.coarse_sees.get_or_init(sees).clone(),
+            ..self.design(observations, &self.pyramid.roots())
+        }
     }
 
-    /// What the points of a design see of its cells, whatever the lobe.
-    pub fn sees(&self, design: &Design<'_>, cells: &[Cell]) -> SeenCells {
-        cell_visibility(design, self.pyramid, cells, &WIDEST, self.occluder)
+    /// A design of the coarsest cells that knows which of them its points see, whatever the lobe; of lights that are `near` or distant.
+    pub fn roots_design<'s>(
+        &'s self,
+        observations: &'s Observations,
+        near: Option<(Vec3, f32)>,
+    ) -> Design<'s> {
+        let roots = self.pyramid.roots();
+        let mut design = Design {
+            near,
+            ..self.design(observations, &roots)
+        };
+        design.seen = cell_visibility(&design, self.pyramid, &roots, &WIDEST, self.occluder);
+        design
     }
 
     /// Splits lit cells and those beside them, drops dark ones and looks for shadows.

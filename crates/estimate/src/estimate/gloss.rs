@@ -17,10 +17,11 @@ use rstar::primitives::GeomWithData;
 use super::cells::Cell;
 use super::design::{Design, Prediction};
 use super::fast::Solver;
+use super::held_out::CHANCE;
 use super::observations::{Observations, Point, Sampling, Seen};
 use super::state::State;
 use super::weights::{deviation, eliminate, log_diffuse, magnitude, median};
-use rekindle_base::math::ranks::{SURE, signed_ranks};
+use rekindle_base::math::ranks::{placed_signed_ranks, signed_ranks};
 use rekindle_scene::reflectance::{Brdf, Gloss};
 use rekindle_scene::surface::{GlossParts, PartPoint, likeness};
 
@@ -42,9 +43,8 @@ const ALIKE: f32 = 0.3;
 const FOLDS: usize = 3;
 /// Most glosses.
 const MOST: usize = 4;
-/// Evidence that counts as certain, in units of what is typically left, and what is left where nothing fits.
+/// Evidence that counts as certain, in units of what is typically left.
 const CERTAIN: f64 = 9.0;
-const OUTLIER: f64 = 100.0;
 /// Strength of a full bond against certain evidence.
 const BOND: f32 = 0.25;
 /// Pull of the most frequent gloss on places that know nothing.
@@ -54,8 +54,7 @@ const SWEEPS: usize = 60;
 const ROUNDS: usize = 4;
 /// Gauss-Newton steps of the glosses.
 const STEPS: usize = 8;
-/// The part of what fewer glosses leave that a further one may, beside that it has to win beyond chance. Interreflection, which no gloss explains, was lowered to 94 and 98 %, at
-/// the cost of the fit as a whole; patches of two roughnesses leave 68 to 75 %.
+/// The part of what fewer unknowns leave that more may.
 pub const WORTH: f64 = 0.9;
 /// Standard deviations from which on a residual counts linearly.
 const HUBER: f32 = 1.345;
@@ -99,16 +98,6 @@ impl Evidence {
         kinds
             .min_by(|a, b| a.left(self).total_cmp(&b.left(self)))
             .unwrap_or(NO_GLOSS)
-    }
-
-    /// The kind that leaves least, or none where that leaves hardly more.
-    fn kind(&self) -> Kind {
-        let best = self.best_kind();
-        if best.left(self) < WORTH * self.all {
-            best
-        } else {
-            NO_GLOSS
-        }
     }
 
     fn sum<'e>(evidence: impl Iterator<Item = &'e Self>) -> Self {
@@ -159,6 +148,11 @@ impl Kind {
         evidence.left(self.roughness, self.height)
     }
 
+    /// The root of what it leaves: what nothing explains counts for no more than it is.
+    fn error(self, evidence: &Evidence) -> f64 {
+        self.left(evidence).max(0.0).sqrt()
+    }
+
     fn gloss(self) -> Gloss {
         let roughness = ROUGHNESSES[self.roughness];
         Gloss {
@@ -169,7 +163,8 @@ impl Kind {
 }
 
 /// Points with their evidence, and who lies beside whom.
-struct Board {
+struct Board<'a> {
+    observations: &'a Observations,
     evidence: Vec<Evidence>,
     /// Each view is left out in one of them.
     folds: Vec<Fold>,
@@ -196,13 +191,35 @@ struct Lit<'a> {
 
 impl Solver<'_> {
     /// The parts of the surface whose gloss differs under the lights of a state, if there are any, and the gloss of the part that
-    /// is to be the main one, which the parts' are multiples of. A further gloss has to leave less than a part of what fewer leave:
-    /// the first of `worths` that finds any, which is told.
+    /// is to be the main one, which the parts' are multiples of. A further gloss has to explain views that had no say in it better by more than
+    /// some standard deviations of chance: the first of `beyond` that finds any, which is told.
     pub fn gloss_parts(
         &self,
         state: &State<'_>,
-        worths: impl IntoIterator<Item = f64>,
+        beyond: impl IntoIterator<Item = f64>,
     ) -> Option<(f64, GlossParts, Gloss)> {
+        self.on_board(state, |board, lit| {
+            let of_chance = |chance: f64| {
+                let is_better =
+                    |fewer: &[Kind], more: &[Kind]| board.is_better(chance, fewer, more);
+                let kinds = board.kinds(is_better, self.stop);
+                let (parts, main) = board.parted(lit, &kinds)?;
+                Some((chance, parts, main))
+            };
+            beyond.into_iter().find_map(of_chance)
+        })
+    }
+
+    /// The same in two glosses that explain the points best, whatever views that had no say say of them.
+    pub fn two_glosses(&self, state: &State<'_>) -> Option<(GlossParts, Gloss)> {
+        self.on_board(state, |board, lit| {
+            let kinds = board.kinds(|fewer, _| fewer.len() < 2, self.stop);
+            board.parted(lit, &kinds)
+        })
+    }
+
+    /// Something done with what points say of their gloss under the lights of a state.
+    fn on_board<R>(&self, state: &State<'_>, then: impl FnOnce(&Board<'_>, &Lit<'_>) -> R) -> R {
         let observations = Observations::gather(
             &Seen {
                 parts: None,
@@ -229,37 +246,7 @@ impl Solver<'_> {
             weights: weights(&gray, state.residuals.noise),
         };
         let board = Board::new(&observations, &lit);
-        let mut found = worths.into_iter();
-        let (worth, kinds) = found.find_map(|worth| {
-            let kinds = board.kinds(worth, self.stop);
-            (kinds.len() > 1).then_some((worth, kinds))
-        })?;
-        let parts = board.walk(&kinds, &board.evidence);
-        let glosses = refined(&lit, &parts, &kinds);
-        // The one that explains most.
-        let explained = |k: usize| -> f64 {
-            let own = board.evidence.iter().zip(&parts);
-            let own = own.filter(|(_, part)| **part == k);
-            own.map(|(e, _)| e.all - kinds[k].left(e)).sum()
-        };
-        let main = (0..glosses.len())
-            .filter(|&k| glosses[k].strength > 0.0)
-            .max_by(|&a, &b| explained(a).total_cmp(&explained(b)))?;
-        let main = glosses[main];
-        let of_main = |gloss: Gloss| Gloss {
-            roughness: gloss.roughness / main.roughness,
-            strength: gloss.strength / main.strength,
-        };
-        let points = observations.points.iter().zip(&board.colours).zip(&parts);
-        let points = points.map(|((point, &colour), &gloss)| PartPoint {
-            position: point.position,
-            colour,
-            gloss,
-        });
-        let glosses = glosses.into_iter().map(of_main).collect();
-        let scale = observations.scale;
-        let parts = GlossParts::new(glosses, board.contrast, scale, points.collect());
-        Some((worth, parts, main))
+        then(&board, &lit)
     }
 
     /// The same solver where the surface has parts.
@@ -398,8 +385,8 @@ impl Lit<'_> {
     }
 }
 
-impl Board {
-    fn new(observations: &Observations, lit: &Lit<'_>) -> Self {
+impl<'a> Board<'a> {
+    fn new(observations: &'a Observations, lit: &Lit<'_>) -> Self {
         let rows = &lit.design.observations.rows;
         let views = rows.iter().map(|row| row.view + 1).max().unwrap_or(0);
         let turns = views.min(FOLDS);
@@ -432,6 +419,7 @@ impl Board {
             .map(left)
             .collect();
         Self {
+            observations,
             evidence,
             folds,
             colours,
@@ -441,20 +429,66 @@ impl Board {
         }
     }
 
-    /// The glosses that explain the points, the one for all first.
-    fn kinds(&self, worth: f64, stop: &AtomicBool) -> Vec<Kind> {
-        let pooled = self.pooled();
+    /// The parts of some kinds, where there are several, and the gloss of the main one.
+    fn parted(&self, lit: &Lit<'_>, kinds: &[Kind]) -> Option<(GlossParts, Gloss)> {
+        if kinds.len() < 2 {
+            return None;
+        }
+        let parts = self.walk(kinds, &self.evidence);
+        let glosses = refined(lit, &parts, kinds);
+        // The one that explains most.
+        let explained = |k: usize| -> f64 {
+            let own = self.evidence.iter().zip(&parts);
+            let own = own.filter(|(_, part)| **part == k);
+            own.map(|(e, _)| e.all - kinds[k].left(e)).sum()
+        };
+        let main = (0..glosses.len())
+            .filter(|&k| glosses[k].strength > 0.0)
+            .max_by(|&a, &b| explained(a).total_cmp(&explained(b)))?;
+        let main = glosses[main];
+        let of_main = |gloss: Gloss| Gloss {
+            roughness: gloss.roughness / main.roughness,
+            strength: gloss.strength / main.strength,
+        };
+        let points = self
+            .observations
+            .points
+            .iter()
+            .zip(&self.colours)
+            .zip(&parts);
+        let points = points.map(|((point, &colour), &gloss)| PartPoint {
+            position: point.position,
+            colour,
+            gloss,
+        });
+        let glosses = glosses.into_iter().map(of_main).collect();
+        let scale = self.observations.scale;
+        let parts = GlossParts::new(glosses, self.contrast, scale, points.collect());
+        Some((parts, main))
+    }
+
+    /// The glosses that explain the points, the one for all first: more as long as these are `better`.
+    fn kinds(&self, better: impl Fn(&[Kind], &[Kind]) -> bool, stop: &AtomicBool) -> Vec<Kind> {
+        let pooled = self.pooled(&self.evidence);
         let mut kinds = vec![Evidence::sum(pooled.iter()).best_kind()];
         let candidates = pooled.iter().map(Evidence::best_kind);
         let candidates = quantised(candidates.chain([NO_GLOSS]));
+        let folds = self.folds.par_iter();
+        let votes: Vec<Vec<Evidence>> = folds.map(|fold| self.pooled(&fold.told)).collect();
         while kinds.len() < MOST && !stop.load(Ordering::Relaxed) {
-            let left: Vec<f64> = pooled.iter().map(|e| least(&kinds, e)).collect();
-            let most = CERTAIN * self.unit * POOLED as f64;
+            // Against what the kinds at hand leave, where the points around are for the candidate.
             let gain = |candidate: &Kind| -> f64 {
-                let gains = pooled.iter().zip(&left);
-                gains
-                    .map(|(e, left)| (left - candidate.left(e)).clamp(0.0, most))
-                    .sum()
+                let of_fold = |(votes, fold): (&Vec<Evidence>, &Fold)| -> f64 {
+                    let gains = votes.iter().zip(&fold.judging).map(|(vote, judging)| {
+                        let before = preferred(&kinds, vote);
+                        if candidate.left(vote) >= before.left(vote) {
+                            return 0.0;
+                        }
+                        before.error(judging) - candidate.error(judging)
+                    });
+                    gains.sum()
+                };
+                votes.iter().zip(&self.folds).map(of_fold).sum()
             };
             let gains: Vec<f64> = candidates.par_iter().map(gain).collect();
             let best = (0..gains.len()).max_by(|&a, &b| gains[a].total_cmp(&gains[b]));
@@ -464,12 +498,11 @@ impl Board {
             for _ in 0..ROUNDS {
                 let parts = self.walk(&more, &self.evidence);
                 for (k, kind) in more.iter_mut().enumerate() {
-                    let own = self.evidence.iter().zip(&parts);
-                    let own = own.filter(|(_, part)| **part == k).map(|(e, _)| e);
-                    *kind = Evidence::sum(own).kind();
+                    let own: Vec<usize> = (0..parts.len()).filter(|&i| parts[i] == k).collect();
+                    *kind = self.kind_of(&own);
                 }
             }
-            if !self.is_better(worth, &kinds, &more) {
+            if !better(&kinds, &more) {
                 break;
             }
             kinds = more;
@@ -477,43 +510,73 @@ impl Board {
         kinds
     }
 
-    /// Whether more kinds explain views that had no say in the parts better, beyond chance and by enough: what is wrong with a highlight in
-    /// one view, such as a shadow's edge or what the surface mirrors of itself, is no gloss, and others don't show it.
-    fn is_better(&self, worth: f64, fewer: &[Kind], more: &[Kind]) -> bool {
-        let left = |kinds: &[Kind]| -> Vec<f64> {
+    fn place(&self, point: usize) -> Vec3 {
+        self.observations.points[point].position
+    }
+
+    /// The kind that leaves least of some points; none where the one that some views say does not explain the others better, beyond
+    /// chance.
+    fn kind_of(&self, points: &[usize]) -> Kind {
+        let best =
+            |evidence: &[Evidence]| Evidence::sum(points.iter().map(|&i| &evidence[i])).best_kind();
+        let mut pairs: Vec<(Vec3, f64, f64)> =
+            points.iter().map(|&i| (self.place(i), 0.0, 0.0)).collect();
+        for fold in &self.folds {
+            let told = best(&fold.told);
+            for (&i, (_, without, with)) in points.iter().zip(&mut pairs) {
+                *without += NO_GLOSS.error(&fold.judging[i]);
+                *with += told.error(&fold.judging[i]);
+            }
+        }
+        if placed_signed_ranks(&pairs) > CHANCE {
+            best(&self.evidence)
+        } else {
+            NO_GLOSS
+        }
+    }
+
+    /// Whether more kinds explain views that had no say in the parts better, by more than `chance`: what is wrong with a highlight in
+    /// one view, such as a shadow's edge or what the surface mirrors of itself, is no gloss, and others don't show it. The views are
+    /// compared in turn, and, where few places show a highlight, parts of space that hold as much of what is left.
+    fn is_better(&self, chance: f64, fewer: &[Kind], more: &[Kind]) -> bool {
+        let errors = |kinds: &[Kind]| -> Vec<f64> {
             let of_fold = |fold: &Fold| -> Vec<f64> {
-                let parts = self.walk(kinds, &fold.told);
-                (parts.into_iter().zip(&fold.judging))
-                    .map(|(part, evidence)| kinds[part].left(evidence))
-                    .map(|left| left.min(OUTLIER * self.unit))
+                let parts = self.walk(kinds, &fold.told).into_iter();
+                let errors = parts.zip(&fold.judging);
+                errors
+                    .map(|(part, judging)| kinds[part].error(judging))
                     .collect()
             };
             self.folds.par_iter().flat_map(of_fold).collect()
         };
-        let (fewer, more) = rayon::join(|| left(fewer), || left(more));
-        let ratio = more.iter().sum::<f64>() / fewer.iter().sum::<f64>();
-        ratio < worth && signed_ranks(&fewer, &more) > SURE
+        let (fewer, more) = rayon::join(|| errors(fewer), || errors(more));
+        if more.iter().sum::<f64>() >= fewer.iter().sum::<f64>() {
+            return false;
+        }
+        let points = (0..self.evidence.len()).map(|i| self.place(i)).cycle();
+        let pairs = points.zip(&fewer).zip(&more);
+        let pairs: Vec<_> = pairs
+            .map(|((at, fewer), more)| (at, *fewer, *more))
+            .collect();
+        signed_ranks(&fewer, &more).max(placed_signed_ranks(&pairs)) > chance
     }
 
-    /// Each point's evidence with that of the points around it, of like colour.
-    fn pooled(&self) -> Vec<Evidence> {
+    /// Some evidence of each point with that of the points around it, of like colour.
+    fn pooled(&self, evidence: &[Evidence]) -> Vec<Evidence> {
         let pooled = |i: usize| {
-            let mut all = self.evidence[i].clone();
+            let mut all = evidence[i].clone();
             let mut taken = BTreeSet::from([i as u32]);
             for &(near, bond) in &self.bonds[i] {
                 let further = self.bonds[near as usize].iter();
                 for &(k, next) in std::iter::once(&(near, 1.0)).chain(further) {
                     if bond * next > ALIKE && taken.len() < POOLED && taken.insert(k) {
-                        all.add(&self.evidence[k as usize]);
+                        all.add(&evidence[k as usize]);
                     }
                 }
             }
             all
         };
-        (0..self.evidence.len())
-            .into_par_iter()
-            .map(pooled)
-            .collect()
+        (0..evidence.len()).into_par_iter().map(pooled).collect()
     }
 
     /// The part of each point by what all say.
@@ -579,10 +642,10 @@ impl Board {
     }
 }
 
-/// What the best of some kinds leaves.
-fn least(kinds: &[Kind], evidence: &Evidence) -> f64 {
-    let left = kinds.iter().map(|kind| kind.left(evidence));
-    left.fold(f64::INFINITY, f64::min)
+/// The one of some kinds that leaves least.
+fn preferred(kinds: &[Kind], evidence: &Evidence) -> Kind {
+    let less = |a: &&Kind, b: &&Kind| a.left(evidence).total_cmp(&b.left(evidence));
+    kinds.iter().min_by(less).copied().unwrap_or(NO_GLOSS)
 }
 
 /// Some kinds with heights of four values to an octave, each once.

@@ -87,12 +87,12 @@ pub fn left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<Left> {
     // What the object mirrors of itself is no light: it is where none comes past it.
     let design = solver.shadowed_design(&points, &fit.cells, &fit.brdf);
     let units = in_noise(&design, common_noise(&design));
-    of_turns(&design, fit, &units, turns)
+    of_turns(&design, fit, &units, turns).1
 }
 
 /// What the lobe of a state on its cells leaves at each point of a design, summed over turns in each of which some of the views have no
-/// say, at the price of light that leaves least.
-fn of_turns(design: &Design<'_>, fit: &State<'_>, units: &[f32], turns: usize) -> Vec<Left> {
+/// say, at the price of light that leaves least, which is told.
+fn of_turns(design: &Design<'_>, fit: &State<'_>, units: &[f32], turns: usize) -> (f64, Vec<Left>) {
     let of_turns: Vec<Vec<Vec<Left>>> = (0..turns)
         .into_par_iter()
         .map(|turn| {
@@ -110,10 +110,32 @@ fn of_turns(design: &Design<'_>, fit: &State<'_>, units: &[f32], turns: usize) -
         };
         (0..design.observations.points.len()).map(sum).collect()
     };
-    let total = |left: &Vec<Left>| left.iter().map(|left| left.lit).sum::<f64>();
-    let of_prices = (0..PRICES.len()).map(of_price);
-    let best = of_prices.min_by(|a, b| total(a).total_cmp(&total(b)));
+    let of_prices = (0..PRICES.len()).map(|price| (PRICES[price], of_price(price)));
+    let best = of_prices.min_by(|(_, a), (_, b)| total(a).total_cmp(&total(b)));
     best.unwrap_or_default()
+}
+
+/// What lights leave at all points.
+fn total(left: &[Left]) -> f64 {
+    left.iter().map(|left| left.lit).sum()
+}
+
+/// The lights of a lobe on the coarsest cells at the price at which others that views say explain those that had no say best, and what they
+/// leave of these, in standard deviations of noise: fewer than explain all views best, of which some hundreds only stand for what the
+/// lobe leaves out.
+pub fn sparse<'s>(solver: &'s Solver<'_>, brdf: Brdf) -> (f64, State<'s>) {
+    let mut state = solver.dark_roots(brdf);
+    let units = in_noise(&state.design, common_noise(&state.design));
+    let turns = solver.seen.views.len().min(MOST_TURNS);
+    let (price, left) = of_turns(&state.design, &state, &units, turns);
+    state.solve_lights(ROUGH);
+    state.reweight();
+    let deviation = f64::from(state.rms());
+    state.solve_lights(Precision {
+        price: price * deviation,
+        ..ROUGH
+    });
+    (total(&left), state)
 }
 
 /// What is left at each point of a design in the views that `is_out` leaves out, with the lights that the other views say on some
@@ -196,7 +218,7 @@ pub fn left_under(
 pub fn roughly_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<LeftAt> {
     let design = solver.coarse_design(&solver.coarse);
     let units = in_noise(&design, common_noise(&design));
-    let left = of_turns(&design, fit, &units, ROUGH_TURNS);
+    let (_, left) = of_turns(&design, fit, &units, ROUGH_TURNS);
     let dark = left.iter().map(|left| left.dark).sum::<f64>();
     let at = |(point, left): (&Point, Left)| LeftAt {
         pixel: point.pixel,
@@ -220,7 +242,7 @@ pub fn leaves_less(first: &[LeftAt], second: &[LeftAt]) -> f64 {
 /// photographs differ by factors.
 pub fn relatively_left_out(solver: &Solver<'_>, fit: &State<'_>) -> Vec<f64> {
     let design = solver.coarse_design(&solver.coarse);
-    let left = of_turns(&design, fit, &in_radiance(&design), ROUGH_TURNS);
+    let (_, left) = of_turns(&design, fit, &in_radiance(&design), ROUGH_TURNS);
     left.iter().map(|left| left.lit).collect()
 }
 

@@ -23,7 +23,6 @@ use rayon::prelude::*;
 use super::cells::{Cell, CellGeometry, Pyramid};
 use super::design::Design;
 use super::fast::{self, SIGMAS, Solver, Watch};
-use super::gloss;
 use super::misfit::Misfit;
 use super::observations::{Observations, Point};
 use super::observer::{Interim, Observer, Stopped, go_on, watched};
@@ -782,7 +781,7 @@ fn with_parts(
     let state = lit.state(&lobe);
     solver.report(&state, watch)?;
     let parts = if rounds > 0 && !stated {
-        solver.gloss_parts(&state, [gloss::WORTH])
+        solver.gloss_parts(&state, [SURE])
     } else {
         None
     };

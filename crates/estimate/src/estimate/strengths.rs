@@ -23,7 +23,7 @@ use rekindle_scene::surface::{GlossParts, PartPoint};
 /// Points that have a strength: patches are told apart that are a few times as wide as the distance between them.
 const POINTS: usize = 8000;
 /// Roughnesses that are tried, radians. The first decides whether there is anything to be found.
-const SIGMAS: [f32; 3] = [0.08, 0.13, 0.05];
+pub const SIGMAS: [f32; 3] = [0.08, 0.13, 0.05];
 /// Turns of strengths, after lights of one strength for all. One brings most of what there is to be had.
 const TURNS: usize = 2;
 /// Part of a point's strength that stays in a turn.
@@ -68,7 +68,7 @@ impl Solver<'_> {
         let cells = self.pyramid.roots();
         let search = Search {
             solver: self,
-            seen: self.sees(&self.design(&gray, &cells), &cells),
+            seen: self.roots_design(&gray, self.near).seen,
             cells,
             colours: &colours,
             gray: &gray,

@@ -177,10 +177,8 @@ impl Solver<'_> {
         }
         let without = |view: usize| {
             let (observations, rows) = self.coarse.without_views(|other| other == view);
-            let roots = self.pyramid.roots();
-            let mut design = self.design(&observations, &roots);
-            design.seen = self.sees(&design, &roots);
-            let dark = State::new(design, roots, fit.brdf);
+            let design = self.roots_design(&observations, self.near);
+            let dark = State::new(design, self.pyramid.roots(), fit.brdf);
             let mut state = dark.lit_at(fit.brdf.sigma);
             self.improve_quietly(&mut state, ROUNDS, ROUGH)?;
             Ok((self.left_in_rows(&state, &rows), state.brdf.sigma))
@@ -277,16 +275,16 @@ impl Solver<'_> {
         sigma: f32,
         most: f64,
     ) -> Result<Option<State<'s>>, Stopped> {
-        let roots = self.pyramid.roots();
         let design = if change.near == self.near {
             self.coarse_design(change.observations)
         } else {
-            let mut design = self.design(change.observations, &roots);
-            design.near = change.near;
-            design.seen = self.sees(&design, &roots);
-            design
+            self.roots_design(change.observations, change.near)
         };
-        let dark = State::new(design, roots, Brdf::new(change.models[0], sigma));
+        let dark = State::new(
+            design,
+            self.pyramid.roots(),
+            Brdf::new(change.models[0], sigma),
+        );
         let start = downhill(&dark, sigma);
         let others = change.models[1..].par_iter().map(|&model| {
             let mut state = dark.clone();
