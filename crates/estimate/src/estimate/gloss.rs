@@ -717,3 +717,137 @@ pub fn bonds(observations: &Observations, colours: &[Vec3]) -> (Vec<Vec<(u32, f3
     });
     (bonds.collect(), contrast)
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec2;
+
+    use super::*;
+
+    /// Points along a side of the surface, and rows of each.
+    const SIDE: usize = 60;
+    const ROWS: usize = 6;
+
+    /// Noise from -1 to 1, the same for the same number.
+    fn noise(seed: usize) -> f64 {
+        let hash = (seed as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        let hash = (hash ^ (hash >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        ((hash ^ (hash >> 32)) as u32 as f64 / f64::from(u32::MAX)).mul_add(2.0, -1.0)
+    }
+
+    /// What a lobe of height 1 shows in a row: few rows show a highlight, and a wider lobe shows some of it in others.
+    fn shown(row: usize, roughness: usize) -> f64 {
+        let away = 8.0 * noise(7 * row + 1).abs();
+        let width = f64::from(ROUGHNESSES[roughness]);
+        (-0.5 * (away / width).powi(2)).exp()
+    }
+
+    /// A plane of points whose left half has one height of the lobe and whose right half another, with noise.
+    fn observations() -> Observations {
+        let at = |i: usize| Vec3::new((i % SIDE) as f32, (i / SIDE) as f32, 0.0);
+        let point = |i: usize| Point {
+            position: at(i),
+            normal: Vec3::Z,
+            on: (0, Vec2::ZERO),
+            pixel: (0, i as u32, 0),
+            gloss: 0,
+            rows: ROWS * i..ROWS * (i + 1),
+        };
+        Observations {
+            glosses: vec![Gloss::MAIN],
+            points: (0..SIDE * SIDE).map(point).collect(),
+            rows: Vec::new(),
+            scale: 1.0,
+            gray: true,
+        }
+    }
+
+    fn is_left(i: usize) -> bool {
+        i % SIDE < SIDE / 2
+    }
+
+    fn board(observations: &Observations, [left, right]: [f64; 2], deviation: f64) -> Board<'_> {
+        let evidence = |i: usize, is_told: &dyn Fn(usize) -> bool| -> [Evidence; 2] {
+            let mut evidence = [Evidence::none(), Evidence::none()];
+            for k in 0..ROWS {
+                let row = ROWS * i + k;
+                let height = if is_left(i) { left } else { right };
+                let measured = height * shown(row, 5) + deviation * 1.7 * noise(row + 999_983);
+                let of = &mut evidence[usize::from(!is_told(k))];
+                of.all += measured * measured;
+                for roughness in 0..ROUGHNESSES.len() {
+                    let own = shown(row, roughness);
+                    of.with[roughness] += own * measured;
+                    of.of[roughness] += own * own;
+                }
+            }
+            evidence
+        };
+        let all = 0..observations.points.len();
+        let fold = |turn: usize| {
+            let of = |i| evidence(i, &|k| k % FOLDS != turn).into();
+            let (told, judging) = all.clone().map(of).unzip();
+            Fold { told, judging }
+        };
+        let colours = vec![Vec3::ZERO; all.len()];
+        let beside = |near: Vec<u32>| near.into_iter().map(|j| (j, 1.0)).collect();
+        Board {
+            observations,
+            evidence: all
+                .clone()
+                .map(|i| evidence(i, &|_| true)[0].clone())
+                .collect(),
+            folds: (0..FOLDS).map(fold).collect(),
+            colours,
+            bonds: super::beside(&observations.points)
+                .into_iter()
+                .map(beside)
+                .collect(),
+            contrast: 1.0,
+            unit: deviation * deviation,
+        }
+    }
+
+    fn kinds(board: &Board<'_>) -> Vec<Kind> {
+        let is_better = |fewer: &[Kind], more: &[Kind]| board.is_better(3.0, fewer, more);
+        board.kinds(is_better, &AtomicBool::new(false))
+    }
+
+    #[test]
+    fn gloss_on_one_half_is_found_however_little_noise_there_is() {
+        let observations = observations();
+        for deviation in [0.1, 1e-4] {
+            let board = board(&observations, [0.0, 1.0], deviation);
+            let found = kinds(&board);
+            let mut heights: Vec<f64> = found.iter().map(|kind| kind.height).collect();
+            heights.sort_by(f64::total_cmp);
+            assert_eq!(heights.len(), 2, "{found:?}");
+            assert_eq!(heights[0], 0.0, "{found:?}");
+            assert!((heights[1] - 1.0).abs() < 0.05, "{found:?}");
+            let parts = board.walk(&found, &board.evidence);
+            let is_right = |&i: &usize| is_left(i) == (found[parts[i]].height == 0.0);
+            let right = (0..parts.len()).filter(is_right).count();
+            assert!(right as f64 > 0.97 * parts.len() as f64, "{right}");
+        }
+    }
+
+    #[test]
+    fn two_glosses_are_told_apart_where_noise_is_most_of_what_is_left_and_one_is_not_made_two() {
+        let observations = observations();
+        let two = board(&observations, [1.0, 0.5], 0.4);
+        let left = |kinds: &[Kind]| -> f64 {
+            let parts = two.walk(kinds, &two.evidence);
+            let left = parts.iter().zip(&two.evidence);
+            left.map(|(&part, evidence)| kinds[part].left(evidence))
+                .sum()
+        };
+        let found = kinds(&two);
+        assert_eq!(found.len(), 2, "{found:?}");
+        let one = [Evidence::sum(two.evidence.iter()).best_kind()];
+        assert!(left(&found) > 0.9 * left(&one), "too easy");
+        let one = kinds(&board(&observations, [0.8, 0.8], 0.4));
+        assert_eq!(one.len(), 1, "{one:?}");
+        let none = kinds(&board(&observations, [0.0, 0.0], 0.4));
+        assert_eq!(none.len(), 1, "{none:?}");
+    }
+}
