@@ -732,7 +732,8 @@ mod tests {
     fn noise(seed: usize) -> f64 {
         let hash = (seed as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         let hash = (hash ^ (hash >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        ((hash ^ (hash >> 32)) as u32 as f64 / f64::from(u32::MAX)).mul_add(2.0, -1.0)
+        let high = f64::from((hash >> 32) as u32) / f64::from(u32::MAX);
+        high.mul_add(2.0, -1.0)
     }
 
     /// What a lobe of height 1 shows in a row: few rows show a highlight, and a wider lobe shows some of it in others.
