@@ -240,7 +240,7 @@ fn better<'s>(
 ) -> Result<Option<Start<'s>>, Stopped> {
     let (coarse, because) = choose(parted, choice, watch)?;
     // Lights that only parts make room for explain much by accident.
-    let is_shown = || is_glossy(solver, without) || shows_gloss(coarse.left_out(parted));
+    let is_shown = || shows_gloss(coarse.left_out(parted)) || is_glossy(solver, without);
     let is_better = explains_better(&coarse, without)
         && predicts_better(coarse.left_out(parted), without.left_out(solver))
         && is_shown();

@@ -473,22 +473,22 @@ impl<'a> Board<'a> {
         let mut kinds = vec![Evidence::sum(pooled.iter()).best_kind()];
         let candidates = pooled.iter().map(Evidence::best_kind);
         let candidates = quantised(candidates.chain([NO_GLOSS]));
-        let folds = self.folds.par_iter();
-        let votes: Vec<Vec<Evidence>> = folds.map(|fold| self.pooled(&fold.told)).collect();
+        // What the points around each say where some views are left out, and what these say of it.
+        let folds = self.folds.iter();
+        let votes = folds.flat_map(|fold| self.pooled(&fold.told).into_iter().zip(&fold.judging));
+        let votes: Vec<(Evidence, &Evidence)> = votes.collect();
         while kinds.len() < MOST && !stop.load(Ordering::Relaxed) {
-            // Against what the kinds at hand leave, where the points around are for the candidate.
+            let before = votes.iter().map(|(vote, judging)| {
+                let best = preferred(&kinds, vote);
+                (best.left(vote), best.error(judging))
+            });
+            let before: Vec<(f64, f64)> = before.collect();
+            // How much less a candidate leaves where the points around are for it.
             let gain = |candidate: &Kind| -> f64 {
-                let of_fold = |(votes, fold): (&Vec<Evidence>, &Fold)| -> f64 {
-                    let gains = votes.iter().zip(&fold.judging).map(|(vote, judging)| {
-                        let before = preferred(&kinds, vote);
-                        if candidate.left(vote) >= before.left(vote) {
-                            return 0.0;
-                        }
-                        before.error(judging) - candidate.error(judging)
-                    });
-                    gains.sum()
-                };
-                votes.iter().zip(&self.folds).map(of_fold).sum()
+                (votes.iter().zip(&before))
+                    .filter(|((vote, _), (left, _))| candidate.left(vote) < *left)
+                    .map(|((_, judging), (_, error))| error - candidate.error(judging))
+                    .sum()
             };
             let gains: Vec<f64> = candidates.par_iter().map(gain).collect();
             let best = (0..gains.len()).max_by(|&a, &b| gains[a].total_cmp(&gains[b]));
