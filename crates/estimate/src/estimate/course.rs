@@ -81,10 +81,7 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
             return Ok(Outcome::Exposures(factors));
         }
         // Normals that are off look like patches of gloss, and gloss in patches not like normals that are off: these don't predict.
-        let is_still = solver.seen.turning.is_none();
-        if is_still
-            && solver.first.is_none()
-            && (!shown || blames_normals(solver, &start.coarse.state)?)
+        if may_be_refined(solver, shown, &start.coarse)?
             && let Some(ending) = on_refined(solver, &start.coarse, rules.choice, watch)?
         {
             return Ok(Outcome::Found(Box::new(ending)));
@@ -94,15 +91,29 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
             start,
             rules.choice,
             watch,
-            |solver, start, watch| on_mesh(solver, start, rules.choice, watch),
+            |solver, start, guess, watch| on_mesh(solver, start, guess, rules.choice, watch),
         )
     })
 }
 
+/// Whether another surface may be tried: where there is no gloss on the mesh, or what is left may be normals that are off.
+fn may_be_refined(
+    solver: &Solver<'_>,
+    shown: bool,
+    coarse: &CoarseFit<'_>,
+) -> Result<bool, Stopped> {
+    let is_first = solver.seen.turning.is_none() && solver.first.is_none();
+    Ok(is_first && (!shown || blames_normals(solver, coarse)?))
+}
+
 /// Whether normals may be off by what a coarse fit leaves, and not by what coarse cells do: a narrow lobe shows more of the lights than these
-/// hold, so they are split once.
-fn blames_normals(solver: &Solver<'_>, coarse: &State<'_>) -> Result<bool, Stopped> {
-    Ok(diagnose::blames_normals(coarse) && on_split(solver, coarse, diagnose::blames_normals)?)
+/// hold, so they are split once. Or by a lobe that is narrower than what predicts views, and so has lights for what they do.
+fn blames_normals(solver: &Solver<'_>, coarse: &CoarseFit<'_>) -> Result<bool, Stopped> {
+    let is_narrower =
+        |sigma: Option<f32>| sigma.is_some_and(|sigma| sigma > coarse.state.brdf.sigma);
+    Ok(diagnose::blames_normals(&coarse.state)
+        && (on_split(solver, &coarse.state, diagnose::blames_normals)?
+            || is_narrower(coarse.outdone(solver))))
 }
 
 /// Whether gloss may differ from place to place by what a coarse fit leaves, and not by what coarse cells do.
@@ -128,23 +139,26 @@ fn improved<'s>(solver: &Solver<'_>, mut split: State<'s>) -> Result<State<'s>, 
     Ok(split)
 }
 
-/// The end on the mesh as it is.
+/// The end on the mesh as it is, or on one that its parts show how to refine, or those that may be.
 fn on_mesh(
     solver: &Solver<'_>,
-    start: Start<'_>,
+    Start { coarse, because }: Start<'_>,
+    guess: Option<&GlossParts>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Outcome, Stopped> {
-    let Start {
-        coarse,
-        because,
-        faint,
-    } = start;
     let shown = is_glossy(solver, &coarse);
-    if !shown
-        && let Some(parts) = faint
-        && let Some(ending) = on_parts(solver, &coarse, &parts, choice, watch)?
-    {
+    let ending = match guess {
+        // Without parts that has been tried before.
+        None if solver.seen.parts.is_some() && may_be_refined(solver, shown, &coarse)? => {
+            on_refined(solver, &coarse, choice, watch)?
+        }
+        Some(guess) if !shown && may_be_refined(solver, shown, &coarse)? => {
+            on_guess(solver, guess, choice, watch)?
+        }
+        _ => None,
+    };
+    if let Some(ending) = ending {
         return Ok(Outcome::Found(Box::new(ending)));
     }
     // Who states a roughness says that there is gloss.
@@ -172,18 +186,6 @@ struct Start<'s> {
     coarse: CoarseFit<'s>,
     /// Why it has its lobe.
     because: String,
-    /// See [`Patches::Faint`].
-    faint: Option<GlossParts>,
-}
-
-impl<'s> Start<'s> {
-    fn of(coarse: CoarseFit<'s>, because: String) -> Self {
-        Self {
-            coarse,
-            because,
-            faint: None,
-        }
-    }
 }
 
 /// Goes on from the best coarse fit, with light from below the horizon if that explains clearly more.
@@ -203,64 +205,49 @@ fn with_coarse_fit<R>(
         whole.improve_coarse(&mut everywhere, watch)?;
         if is_lit_from_below((&whole, &everywhere), (solver, &coarse)) {
             let (everywhere, because) = choose(&whole, choice, watch)?;
-            return then(&whole, Start::of(everywhere, because), watch);
+            return then(
+                &whole,
+                Start {
+                    coarse: everywhere,
+                    because,
+                },
+                watch,
+            );
         }
     }
-    then(solver, Start::of(coarse, because), watch)
+    then(solver, Start { coarse, because }, watch)
 }
 
-/// Goes on from a coarse fit, on a surface that has parts by their strength of gloss if these explain clearly more.
+/// Goes on from a coarse fit, on a surface that has parts by their strength of gloss if these explain clearly more; where one gloss for all
+/// shows nothing, if they may. Parts that nothing proves on this surface are told as a guess.
 fn with_parts<R>(
     solver: &Solver<'_>,
     start: Start<'_>,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
-    then: impl FnOnce(&Solver<'_>, Start<'_>, &mut Watch<'_>) -> Result<R, Stopped>,
+    then: impl FnOnce(&Solver<'_>, Start<'_>, Option<&GlossParts>, &mut Watch<'_>) -> Result<R, Stopped>,
 ) -> Result<R, Stopped> {
-    let faint = match patches(solver, &start.coarse, watch)? {
-        Patches::Clear(parts) => {
-            let parted = solver.parted(&parts);
-            if let Some(start) = better(&parted, (solver, &start.coarse), choice, watch)? {
-                return then(&parted, start, watch);
-            }
-            None
-        }
-        Patches::Faint(parts) => Some(parts),
-        Patches::None => None,
+    let shown = is_glossy(solver, &start.coarse);
+    let parts = match patches(solver, &start.coarse, watch)? {
+        Patches::Clear(parts) => parts,
+        Patches::Faint(parts) if !shown => parts,
+        Patches::Guess(parts) if !shown => return then(solver, start, Some(&parts), watch),
+        _ => return then(solver, start, None, watch),
     };
-    then(solver, Start { faint, ..start }, watch)
-}
-
-/// The coarse fit on parts of the surface, where it explains and predicts the views better than one without.
-fn better<'s>(
-    parted: &'s Solver<'_>,
-    (solver, without): (&Solver<'_>, &CoarseFit<'_>),
-    choice: SpecularChoice,
-    watch: &mut Watch<'_>,
-) -> Result<Option<Start<'s>>, Stopped> {
-    let (coarse, because) = choose(parted, choice, watch)?;
+    let parted = solver.parted(&parts);
+    let (mut coarse, because) = choose(&parted, choice, watch)?;
+    if !shown {
+        coarse = coarse.or_predicting(&parted);
+    }
     // Lights that only parts make room for explain much by accident.
-    let is_shown = || shows_gloss(coarse.left_out(parted)) || is_glossy(solver, without);
-    let is_better = explains_better(&coarse, without)
-        && predicts_better(coarse.left_out(parted), without.left_out(solver))
-        && is_shown();
-    Ok(is_better.then_some(Start::of(coarse, because)))
-}
-
-/// The end on some parts of the surface, where one gloss for all shows nothing.
-fn on_parts(
-    solver: &Solver<'_>,
-    coarse: &CoarseFit<'_>,
-    parts: &GlossParts,
-    choice: SpecularChoice,
-    watch: &mut Watch<'_>,
-) -> Result<Option<Ending>, Stopped> {
-    let parted = solver.parted(parts);
-    let Some(start) = better(&parted, (solver, coarse), choice, watch)? else {
-        return Ok(None);
-    };
-    let with = (choice, Causes::All);
-    end(&parted, &start.coarse, start.because, with, watch).map(Some)
+    let is_better = explains_better(&coarse, &start.coarse)
+        && predicts_better(coarse.left_out(&parted), start.coarse.left_out(solver))
+        && (shown || shows_gloss(coarse.left_out(&parted)));
+    if is_better {
+        then(&parted, Start { coarse, because }, None, watch)
+    } else {
+        then(solver, start, (!shown).then_some(&parts), watch)
+    }
 }
 
 /// The end on a refined surface, if views left out are explained better there than on the solver's own, whose fit is `coarse`, beyond
@@ -271,7 +258,7 @@ fn on_refined(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Ending>, Stopped> {
-    let Some(mut relief) = relief::refine(solver, coarse, choice, watch)? else {
+    let Some(mut relief) = relief::refine(solver, coarse.state.brdf.model, choice, watch)? else {
         return Ok(None);
     };
     let mesh = relief.mesh();
@@ -280,6 +267,10 @@ fn on_refined(
     let before = roughly_left_out(solver, &coarse.state);
     let on_mesh = solver;
     with_coarse_fit(&refined, choice, watch, |solver, start, watch| {
+        let start = Start {
+            coarse: start.coarse.or_predicting(solver),
+            ..start
+        };
         let after = roughly_left_out(solver, &start.coarse.state);
         let z = leaves_less(&before, &after);
         let [left_before, left_after] =
@@ -292,14 +283,46 @@ fn on_refined(
         if named.is_some_and(|named| named.leaves * left_before <= left_after) {
             return Ok(None);
         }
-        with_parts(solver, start, choice, watch, |solver, start, watch| {
-            if !is_glossy(solver, &start.coarse) {
-                return Ok(None);
-            }
-            on_relief(solver, start, (&mut relief, &on_mesh.seen), choice, watch).map(Some)
-        })
+        on_glossy(solver, start, (&mut relief, &on_mesh.seen), choice, watch)
     })
 }
+
+/// The end on a surface that is refined with parts that may be, if gloss then shows on it whatever these are.
+fn on_guess(
+    solver: &Solver<'_>,
+    guess: &GlossParts,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Ending>, Stopped> {
+    let parted = solver.parted(guess);
+    let Some(mut relief) = relief::refine(&parted, SpecularModel::Paper, choice, watch)? else {
+        return Ok(None);
+    };
+    let mesh = relief.mesh();
+    let bench = Bench::new(&mesh, solver.seen.views);
+    let refined = bench.solver(solver, &mesh);
+    let original = &solver.seen;
+    with_coarse_fit(&refined, choice, watch, |solver, start, watch| {
+        on_glossy(solver, start, (&mut relief, original), choice, watch)
+    })
+}
+
+/// The end on a surface that stands for that of `original`, if gloss shows on it or on parts of it. See [`on_relief`].
+fn on_glossy(
+    solver: &Solver<'_>,
+    start: Start<'_>,
+    (relief, original): (&mut Relief, &Seen<'_>),
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Ending>, Stopped> {
+    with_parts(solver, start, choice, watch, |solver, start, _, watch| {
+        if !is_glossy(solver, &start.coarse) {
+            return Ok(None);
+        }
+        on_relief(solver, start, (relief, original), choice, watch).map(Some)
+    })
+}
+
 /// The end on a surface that stands for that of `original`: `relief`, which the solver is of, moved under the lights found on it if that
 /// leaves less.
 fn on_relief(
@@ -316,9 +339,7 @@ fn on_relief(
         }),
         ..ending
     };
-    let Start {
-        coarse, because, ..
-    } = start;
+    let Start { coarse, because } = start;
     let with = (choice, Causes::Views);
     let fit = finish(solver, &coarse.state, watch)?;
     let parted = fit.parts.as_ref().map(|parts| solver.parted(parts));
@@ -438,6 +459,8 @@ enum Patches {
     Clear(GlossParts),
     /// They explain a little more, as they also do where normals are off: not to be believed as long as that may be it.
     Faint(GlossParts),
+    /// They explain more, but views that had no say not beyond chance: something to refine the surface with, and not to be believed.
+    Guess(GlossParts),
 }
 
 /// Parts of the surface by the strength of their gloss, where one strength for all leaves so much that there may be some, and
@@ -472,7 +495,7 @@ fn patches(
     Ok(match parted.gloss_parts(&lights, [SURE, CHANCE]) {
         Some((SURE, parts, _)) => Patches::Clear(parts),
         Some((_, parts, _)) => Patches::Faint(parts),
-        None => Patches::None,
+        None => Patches::Guess(two),
     })
 }
 

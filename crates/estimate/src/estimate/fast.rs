@@ -16,7 +16,10 @@ use rayon::prelude::*;
 
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
-use super::held_out::{Left, left_out, predicts_better};
+use super::held_out::{
+    CHANCE, Left, at_best_roughness, leaves_less, left_out, nearest_roughness, predicts_better,
+    roughly_left_out, sparse,
+};
 use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
 use super::merging::merge_lamps;
@@ -121,7 +124,35 @@ pub struct CoarseFit<'a> {
     left: OnceLock<Vec<Left>>,
 }
 
-impl CoarseFit<'_> {
+impl<'a> CoarseFit<'a> {
+    /// The same, or lights at a roughness that predicts views better. Where normals are off, a narrow lobe under many lights explains what they
+    /// do to single points, and predicts nothing.
+    #[must_use]
+    pub fn or_predicting(self, solver: &'a Solver<'_>) -> Self {
+        let Some(sigma) = self.outdone(solver) else {
+            return self;
+        };
+        let (_, state) = sparse(solver, Brdf::new(self.state.brdf.model, sigma));
+        Self {
+            unexplained: state.unexplained().max(f64::MIN_POSITIVE),
+            state,
+            left: OnceLock::new(),
+            ..self
+        }
+    }
+
+    /// The roughness that predicts views best, if it does so better than the fit's own, beyond chance.
+    pub fn outdone(&self, solver: &Solver<'_>) -> Option<f32> {
+        if solver.sigma.is_some() {
+            return None;
+        }
+        let Brdf { model, sigma, .. } = self.state.brdf;
+        let (other, best) = at_best_roughness(solver, model);
+        let is_other = nearest_roughness(sigma) != other;
+        let own = || roughly_left_out(solver, &self.state);
+        (is_other && leaves_less(&own(), &best) > CHANCE).then_some(other)
+    }
+
     /// What it leaves of views that had no say, looked at once; with its own solver. See [`left_out`].
     pub fn left_out(&self, solver: &Solver<'_>) -> &[Left] {
         self.left.get_or_init(|| left_out(solver, &self.state))

@@ -233,6 +233,8 @@ impl Solver<'_> {
                 stop: self.stop,
             },
         );
+        // A bound that is exceeded is no error.
+        let observations = observations.measured();
         let gray = observations.to_gray();
         let lit = state.lit();
         let cells: Vec<Cell> = lit.iter().map(|&k| state.cells[k]).collect();
@@ -470,7 +472,8 @@ impl<'a> Board<'a> {
     /// The glosses that explain the points, the one for all first: more as long as these are `better`.
     fn kinds(&self, better: impl Fn(&[Kind], &[Kind]) -> bool, stop: &AtomicBool) -> Vec<Kind> {
         let pooled = self.pooled(&self.evidence);
-        let mut kinds = vec![Evidence::sum(pooled.iter()).best_kind()];
+        let all: Vec<usize> = (0..self.evidence.len()).collect();
+        let mut kinds = vec![self.kind_of(&all)];
         let candidates = pooled.iter().map(Evidence::best_kind);
         let candidates = quantised(candidates.chain([NO_GLOSS]));
         // What the points around each say where some views are left out, and what these say of it.

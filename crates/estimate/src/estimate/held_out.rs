@@ -31,6 +31,8 @@ const ENOUGH: usize = 2000;
 /// Prices of light that are tried, in standard deviations of the residuals; see [`Precision::price`]. Without any, cells by the
 /// hundred are lit by what the model leaves out, and drown the few lights that there are.
 const PRICES: [f64; 4] = [16.0, 8.0, 4.0, 2.0];
+/// Roughnesses that are tried, radians.
+const ROUGHNESSES: [f32; 5] = [0.03, 0.05, 0.08, 0.13, 0.2];
 /// A point's radiance below which what is left there is not compared with it but with this, as a part of the mean radiance.
 const DARK: f32 = 0.1;
 /// Standard deviations of noise by which explanations differ at a point that can tell between them.
@@ -211,6 +213,33 @@ pub fn left_under(
     judged.silence(|k| !is_out(design.observations.rows[k].view));
     judged.light_by(radiance);
     left_by(&judged, &judged.dark_residuals(), units, is_out)
+}
+
+/// The one of [`ROUGHNESSES`] that a roughness is next to.
+pub fn nearest_roughness(sigma: f32) -> f32 {
+    let away = |of: &f32| (sigma / of).ln().abs();
+    let nearest = ROUGHNESSES
+        .into_iter()
+        .min_by(|a, b| away(a).total_cmp(&away(b)));
+    nearest.unwrap_or(sigma)
+}
+
+/// What a lobe of a model leaves in views that had no say, at the one of a few roughnesses with which others explain these best, or the
+/// one that is stated.
+pub fn at_best_roughness(solver: &Solver<'_>, model: SpecularModel) -> (f32, Vec<LeftAt>) {
+    let of = |&sigma: &f32| {
+        let fit = solver.dark_roots(Brdf::new(model, sigma));
+        (sigma, roughly_left_out(solver, &fit))
+    };
+    let sigmas = solver
+        .sigma
+        .map_or_else(|| ROUGHNESSES.to_vec(), |stated| vec![stated]);
+    let tried: Vec<(f32, Vec<LeftAt>)> = sigmas.par_iter().map(of).collect();
+    let total = |left: &[LeftAt]| left.iter().map(|at| at.left).sum::<f64>();
+    let best = tried
+        .into_iter()
+        .min_by(|(_, a), (_, b)| total(a).total_cmp(&total(b)));
+    best.unwrap_or((ROUGHNESSES[0], Vec::new()))
 }
 
 /// What the lobe of a coarse fit leaves in views that had no say at each of its points: as a part of what diffuse colours alone leave at

@@ -327,6 +327,16 @@ impl Observations {
         parted
     }
 
+    /// The same on a surface of one gloss.
+    #[must_use]
+    pub fn without_parts(mut self) -> Self {
+        self.glosses = vec![Gloss::MAIN];
+        for point in &mut self.points {
+            point.gloss = 0;
+        }
+        self
+    }
+
     /// The same with each row's three channels replaced by their mean.
     #[must_use]
     pub fn to_gray(&self) -> Self {

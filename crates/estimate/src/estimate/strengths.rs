@@ -61,9 +61,10 @@ struct Search<'a> {
 }
 
 impl Solver<'_> {
-    /// The surface's parts by the strength of their gloss, if these explain the views clearly better than one for all.
+    /// The surface's parts by the strength of their gloss, whatever parts it has, if these explain the views clearly better than one for
+    /// all.
     pub fn strengths(&self, watch: &mut Watch<'_>) -> Result<Option<GlossParts>, Stopped> {
-        let colours = self.colours(POINTS);
+        let colours = self.colours(POINTS).without_parts();
         let gray = colours.to_gray();
         let cells = self.pyramid.roots();
         let search = Search {

@@ -229,11 +229,10 @@ fn a_mesh_coarser_than_the_highlights_is_refined() {
     lamps_of_spot_paper_are_found(&found);
 }
 
-#[test]
-fn a_mesh_with_a_scanners_noise_is_smoothed_and_refined() {
-    let mut capture = load();
+/// The capture with a mesh as a scanner has it: places off by a part of its size along the normals, and the normals of these.
+fn scanned(mut capture: Capture, part: f32) -> Capture {
     let mesh = &mut capture.mesh;
-    let noise = 5e-4 * mesh.diagonal();
+    let noise = part * mesh.diagonal();
     let place_of = mesh.places();
     for (v, place) in place_of.iter().enumerate() {
         let normal = Random(u64::from(*place).wrapping_mul(0x9e37_79b9_7f4a_7c15)).normal();
@@ -247,18 +246,27 @@ fn a_mesh_with_a_scanners_noise_is_smoothed_and_refined() {
             normals[place_of[*v as usize] as usize] += (b - a).cross(c - a);
         }
     }
-    let exact = mesh.normals.clone();
     for (normal, &place) in mesh.normals.iter_mut().zip(&place_of) {
         *normal = normals[place as usize].normalize_or_zero();
     }
-    let off = |normals: &[Vec3]| -> f32 {
-        let mut angles: Vec<f32> = (normals.iter().zip(&exact))
-            .map(|(a, b)| a.angle_between(*b).to_degrees())
-            .collect();
-        angles.sort_by(f32::total_cmp);
-        angles[angles.len() / 2]
-    };
-    assert!(off(&mesh.normals) > 2.0, "{}°", off(&mesh.normals));
+    capture
+}
+
+/// Median angle between the normals of two meshes of the same vertices, degrees.
+fn median_off(one: &Capture, other: &Capture) -> f32 {
+    let pairs = one.mesh.normals.iter().zip(&other.mesh.normals);
+    let mut off: Vec<f32> = pairs
+        .map(|(a, b)| a.angle_between(*b).to_degrees())
+        .collect();
+    off.sort_by(f32::total_cmp);
+    off[off.len() / 2]
+}
+
+#[test]
+fn a_mesh_with_a_scanners_noise_is_smoothed_and_refined() {
+    let capture = scanned(load(), 5e-4);
+    let off = median_off(&capture, &load());
+    assert!(off > 2.0, "{off}°");
     let found = fast(&capture);
     assert!(found.refined.is_some(), "{:?}", found.diagnostics);
     // From the truth.json of spot_paper.
@@ -269,6 +277,11 @@ fn a_mesh_with_a_scanners_noise_is_smoothed_and_refined() {
 
 /// Whether both lamps of `spot_paper` (from its truth.json) are found within 1°, and hardly any other light.
 fn lamps_of_spot_paper_are_found(found: &Estimate) {
+    lamps_of_spot_paper_are_within(found, 1.0);
+}
+
+/// The same within some degrees.
+fn lamps_of_spot_paper_are_within(found: &Estimate, most: f32) {
     let lamps = find_lamps(&found.grid, &found.radiance);
     assert!(lamps.len() >= 2, "{:?}", found.diagnostics);
     for truth in LAMPS {
@@ -276,19 +289,22 @@ fn lamps_of_spot_paper_are_found(found: &Estimate) {
             .iter()
             .map(|lamp| lamp.direction.angle_between(truth).to_degrees())
             .fold(f32::INFINITY, f32::min);
-        assert!(off < 1.0, "{off}° off");
+        assert!(off < most, "{off}° off");
     }
     let all: f32 = lamps.iter().map(Lamp::mean_flux).sum();
     let strays: f32 = lamps[2..].iter().map(Lamp::mean_flux).sum();
     assert!(strays < 0.03 * all, "{strays} of {all}");
 }
 
-#[test]
-fn lights_are_found_where_half_the_surface_has_no_gloss() {
+/// Whether a place of [`half_dull`] has no gloss.
+fn is_dull(p: Vec3) -> bool {
+    (3.0 * p).floor().element_sum() as i32 % 2 == 0
+}
+
+/// `spot_paper` with gloss on half of its surface, and where highlights are, or would be if it weren't dull.
+fn half_dull() -> (Capture, Vec<Vec3>) {
     let mut capture = load();
     let occluder = Occluder::new(&capture.mesh);
-    let is_dull = |p: Vec3| (3.0 * p).floor().element_sum() as i32 % 2 == 0;
-    // Where highlights are, or would be if it weren't dull.
     let mut places = Vec::new();
     for (picture, view) in true_diffuse(&capture).into_iter().zip(&mut capture.views) {
         let surface = ViewSurface::new(&capture.mesh, &occluder, &view.camera);
@@ -305,13 +321,13 @@ fn lights_are_found_where_half_the_surface_has_no_gloss() {
             }
         }
     }
-    let found = fast(&capture);
-    lamps_of_spot_paper_are_found(&found);
-    // From the truth.json of spot_paper.
-    let sigma = found.brdf.unwrap().sigma;
-    assert!((sigma / 0.085 - 1.0).abs() < 0.05, "{sigma}");
-    let parts = found.parts.as_ref().expect("some of the surface is dull");
     assert!(places.len() > 5000, "{}", places.len());
+    (capture, places)
+}
+
+/// Whether the parts that were found are those of [`half_dull`] at nearly all of some places.
+fn parts_are_half_dull(found: &Estimate, places: &[Vec3]) {
+    let parts = found.parts.as_ref().expect("some of the surface is dull");
     let is_right = |&&p: &&Vec3| is_dull(p) == (parts.glosses[parts.at(p)].strength == 0.0);
     let right = places.iter().filter(is_right).count();
     assert!(
@@ -319,6 +335,34 @@ fn lights_are_found_where_half_the_surface_has_no_gloss() {
         "{right} of {}",
         places.len()
     );
+}
+
+#[test]
+fn lights_are_found_where_half_the_surface_has_no_gloss() {
+    let (capture, places) = half_dull();
+    let found = fast(&capture);
+    lamps_of_spot_paper_are_found(&found);
+    // From the truth.json of spot_paper.
+    let sigma = found.brdf.unwrap().sigma;
+    assert!((sigma / 0.085 - 1.0).abs() < 0.05, "{sigma}");
+    parts_are_half_dull(&found, &places);
+}
+
+#[test]
+fn gloss_on_half_of_a_surface_is_found_by_highlights_that_are_clipped() {
+    let (capture, places) = half_dull();
+    let found = fast(&clipped(capture, 0.005));
+    lamps_of_spot_paper_are_within(&found, 2.0);
+    parts_are_half_dull(&found, &places);
+}
+
+#[test]
+fn a_scan_of_a_surface_half_of_which_has_no_gloss_is_refined() {
+    let (capture, places) = half_dull();
+    let found = fast(&scanned(capture, 5e-4));
+    assert!(found.refined.is_some(), "{:?}", found.diagnostics);
+    lamps_of_spot_paper_are_within(&found, 2.0);
+    parts_are_half_dull(&found, &places);
 }
 
 #[test]

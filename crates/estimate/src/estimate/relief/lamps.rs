@@ -82,7 +82,7 @@ pub fn wide_lamps(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<(Lamps, f32), Stopped> {
-    let coarse = wide_fit(solver, choice, watch)?;
+    let coarse = wide_fit(solver, choice, watch)?.or_predicting(solver);
     let points = solver.middle_observations(&coarse.state);
     let mut state = solver.refine(&coarse.state, &points);
     state.brdf.sigma *= WIDER;

@@ -35,14 +35,14 @@ use rayon::prelude::*;
 
 use super::SpecularChoice;
 use super::design::Design;
-use super::fast::{CoarseFit, Solver, Watch};
+use super::fast::{Solver, Watch};
 use super::held_out::{CHANCE, common_noise, in_noise, left_in};
 use super::observations::{Observations, Point, Seen};
 use super::observer::{Stopped, go_on};
 use super::weights::median;
 use rekindle_base::math::ranks::signed_ranks;
 use rekindle_capture::{Mesh, View};
-use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::surface::{Fairing, Occluder, ViewSurface, area_vectors};
 
 use equations::{Equations, LinearRows};
@@ -130,10 +130,10 @@ pub struct Relief {
 }
 
 /// A surface that explains the highlights better than the solver's; `None` where the mesh is neither coarse nor noisy or does not
-/// determine a fair one. `coarse` is a fit on the solver's own surface.
+/// determine a fair one. It is smoothed as far as a lobe of `model` says.
 pub fn refine(
     solver: &Solver<'_>,
-    coarse: &CoarseFit<'_>,
+    model: SpecularModel,
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Relief>, Stopped> {
@@ -141,7 +141,7 @@ pub fn refine(
     let start = if pixels_per_triangle(&solver.seen) >= LEAST_PIXELS {
         Fairing::new(solver.seen.mesh).map(|fairing| (Relief::new(fairing), true))
     } else {
-        smoothed(solver, coarse, watch)?
+        smoothed(solver, model, watch)?
     };
     let Some((mut relief, is_fairer)) = start else {
         return Ok(None);

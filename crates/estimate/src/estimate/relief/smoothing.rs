@@ -3,12 +3,12 @@
 use rayon::prelude::*;
 
 use super::{Bench, Relief};
-use crate::estimate::fast::{CoarseFit, Solver, Watch};
-use crate::estimate::held_out::{CHANCE, LeftAt, leaves_less, roughly_left_out};
+use crate::estimate::fast::{Solver, Watch};
+use crate::estimate::held_out::{CHANCE, LeftAt, at_best_roughness, leaves_less, roughly_left_out};
 use crate::estimate::observations::Seen;
-use crate::estimate::observer::{Stopped, Unobserved, go_on};
+use crate::estimate::observer::{Stopped, go_on};
 use rekindle_capture::Mesh;
-use rekindle_scene::reflectance::SpecularModel;
+use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::surface::{NO_TRIANGLE, Smoothing, ViewSurface, simplified};
 
 /// Most triangles of a surface with places of its own to move.
@@ -45,24 +45,17 @@ struct Smoothed {
 impl Smoothed {
     fn of(
         solver: &Solver<'_>,
-        model: SpecularModel,
+        brdf: Brdf,
         (mesh, spacing): (&Smoothing, f64),
         length: f64,
-    ) -> Result<Option<Self>, Stopped> {
-        let Some(fairing) = mesh.at(length * spacing) else {
-            return Ok(None);
-        };
+    ) -> Option<Self> {
+        let fairing = mesh.at(length * spacing)?;
         let relief = Relief::new(fairing);
         let smooth = relief.mesh();
         let bench = Bench::new(&smooth, solver.seen.views);
         let again = bench.solver(solver, &smooth);
-        let mut watch = Watch {
-            iterations: &mut Vec::new(),
-            observer: &mut Unobserved,
-        };
-        let fit = again.compare_sigmas(model, None, &mut watch)?;
-        let left = roughly_left_out(&again, &fit.state);
-        Ok(Some(Self { relief, left }))
+        let left = roughly_left_out(&again, &again.dark_roots(brdf));
+        Some(Self { relief, left })
     }
 
     fn total(&self) -> f64 {
@@ -72,10 +65,10 @@ impl Smoothed {
 
 /// The surface through a mesh that is as fine as the pictures, smoothed as much as these say: the smoothest that leaves of views
 /// that had no say no more than another one does, but for chance. What is smoothed much needs few triangles. Beside it whether it leaves
-/// less than the mesh itself, beyond chance, with the lights of `coarse`.
+/// less than the mesh itself, beyond chance, with a lobe of `model`.
 pub fn smoothed(
     solver: &Solver<'_>,
-    coarse: &CoarseFit<'_>,
+    model: SpecularModel,
     watch: &mut Watch<'_>,
 ) -> Result<Option<(Relief, bool)>, Stopped> {
     let pixels = |surface: &ViewSurface| {
@@ -83,7 +76,9 @@ pub fn smoothed(
         object.count()
     };
     let largest = solver.seen.surfaces.iter().map(pixels).max().unwrap_or(0);
-    let model = coarse.state.brdf.model;
+    // What predicts views best on the mesh does so on other surfaces too, or nearly.
+    let (sigma, unsmoothed) = at_best_roughness(solver, model);
+    let brdf = Brdf::new(model, sigma);
     let mut tried: Vec<Smoothed> = Vec::new();
     let mut least = f64::INFINITY;
     let mut simpler: Option<(usize, Smoothing, f64)> = None;
@@ -99,9 +94,9 @@ pub fn smoothed(
             continue;
         };
         let smooth =
-            |&(_, length): &(usize, f64)| Smoothed::of(solver, model, (&mesh, spacing), length);
-        let found: Result<Vec<_>, Stopped> = some.par_iter().map(smooth).collect();
-        tried.extend(found?.into_iter().flatten());
+            |&(_, length): &(usize, f64)| Smoothed::of(solver, brdf, (&mesh, spacing), length);
+        let found: Vec<_> = some.par_iter().filter_map(smooth).collect();
+        tried.extend(found);
         simpler = Some((coarser, mesh, spacing));
         least = tried.iter().map(Smoothed::total).fold(least, f64::min);
         let is_last = |last: &Smoothed| last.total() > TOO_MUCH * least;
@@ -117,7 +112,6 @@ pub fn smoothed(
     let smoother = tried[best + 1..].iter().take_while(is_as_good);
     let smoothest = best + smoother.count();
     let Smoothed { relief, left } = tried.swap_remove(smoothest);
-    let unsmoothed = roughly_left_out(solver, &coarse.state);
     let is_better = leaves_less(&unsmoothed, &left) > CHANCE;
     Ok(Some((relief, is_better)))
 }
