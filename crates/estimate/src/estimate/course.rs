@@ -153,7 +153,7 @@ fn on_mesh(
         None if solver.seen.parts.is_some() && may_be_refined(solver, shown, &coarse)? => {
             on_refined(solver, &coarse, choice, watch)?
         }
-        Some(guess) if !shown && may_be_refined(solver, shown, &coarse)? => {
+        Some(guess) if may_be_refined(solver, shown, &coarse)? => {
             on_guess(solver, guess, choice, watch)?
         }
         _ => None,
@@ -204,15 +204,8 @@ fn with_coarse_fit<R>(
         let mut everywhere = whole.compare_sigmas(model, Some(sigma), watch)?;
         whole.improve_coarse(&mut everywhere, watch)?;
         if is_lit_from_below((&whole, &everywhere), (solver, &coarse)) {
-            let (everywhere, because) = choose(&whole, choice, watch)?;
-            return then(
-                &whole,
-                Start {
-                    coarse: everywhere,
-                    because,
-                },
-                watch,
-            );
+            let (coarse, because) = choose(&whole, choice, watch)?;
+            return then(&whole, Start { coarse, because }, watch);
         }
     }
     then(solver, Start { coarse, because }, watch)
