@@ -1241,11 +1241,18 @@ impl eframe::App for App {
     }
 }
 
+/// What task bars and title bars show: the picture that the desktop entry names as well.
+fn icon() -> egui::IconData {
+    let picture = include_bytes!("../../assets/package/rekindle.png");
+    eframe::icon_data::from_png_bytes(picture).unwrap_or_default()
+}
+
 /// Opens the window and returns when it is closed.
 pub fn run(open: Option<Source>) -> eframe::Result {
     let viewport = egui::ViewportBuilder::default()
         .with_title("Rekindle")
         .with_app_id("rekindle")
+        .with_icon(icon())
         .with_inner_size([1280.0, 820.0])
         .with_min_inner_size([960.0, 600.0])
         .with_drag_and_drop(true);

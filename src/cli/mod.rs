@@ -9,6 +9,7 @@ mod gui;
 mod info;
 mod info_solution;
 mod interrupt;
+mod manual;
 mod merge;
 mod print;
 mod progress;
@@ -113,6 +114,20 @@ enum Command {
         /// Folder of a capture or of a solution
         path: PathBuf,
     },
+    /// Print a shell's script that completes commands and options
+    ///
+    /// For instance: rekindle completions bash > ~/.local/share/bash-completion/completions/rekindle
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+    /// Print the manual page of a command, for man
+    ///
+    /// For instance: rekindle manual solve | man -l -
+    Manual {
+        /// The command (default: the program itself)
+        command: Option<String>,
+    },
 }
 
 /// Runs the command given by the program's arguments.
@@ -167,6 +182,8 @@ fn execute(cli: &Cli) -> anyhow::Result<()> {
                 info::run(path, cli.output.json)
             }
         }
+        Some(Command::Completions { shell }) => manual::completions(*shell),
+        Some(Command::Manual { command }) => manual::page(command.as_deref()),
     }
 }
 

@@ -5,6 +5,7 @@
 mod bad_input;
 mod command;
 mod dialects;
+mod manual;
 mod photographs;
 mod program;
 mod truth;
