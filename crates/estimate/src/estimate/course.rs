@@ -11,6 +11,7 @@ use super::held_out::{
 use super::observations::Seen;
 use super::observer::{Interim, Stopped, go_on};
 use super::relief::{self, Bench, RefinedSurface, Relief};
+use super::shading::LightByShading;
 use super::state::{ROUGH, State};
 use super::suspects::{Suspicion, left};
 use super::{diagnose, exposures, strengths};
@@ -36,8 +37,8 @@ const ROUNDS: usize = 4;
 pub enum Outcome {
     /// Roughness and lights.
     Found(Box<Ending>),
-    /// There are none, for this reason.
-    Nothing(String),
+    /// There are none, for this reason, and what the shading says of light.
+    Nothing(String, Option<LightByShading>),
     /// The views' exposures differ by these factors: everything is to be done again with them evened out.
     Exposures(Vec<f64>),
 }
@@ -69,8 +70,36 @@ pub struct Rules {
     pub exposures: Option<bool>,
 }
 
-/// The default method from the first look to the end.
+/// The default method from the first look to the end. Where no gloss shows under light from anywhere, it is looked for under light from where
+/// the shading says: few lights can stand there for what is left out, so that faint gloss, or on few parts, is more than these explain. What is
+/// found so has to be sound, and to make the albedo no less even than the light by shading does.
 pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
+    let outcome = sought(solver, rules, watch)?;
+    let Outcome::Nothing(reason, _) = outcome else {
+        return Ok(outcome);
+    };
+    if solver.seen.turning.is_some() || watch.observer.enough() {
+        return Ok(Outcome::Nothing(reason, None));
+    }
+    go_on(watch.observer.progress("looking at the shading", 0.3))?;
+    let Some(light) = LightByShading::of(solver) else {
+        return Ok(Outcome::Nothing(reason, None));
+    };
+    let directions = light.directions();
+    match sought(&solver.near_to(&directions), rules, watch)? {
+        Outcome::Found(ending)
+            if diagnose::misfit(&ending.fit.misfit).is_some()
+                || !light.bears_out(solver, &ending.grid, &ending.fit.nodes) =>
+        {
+            Ok(Outcome::Nothing(reason, Some(light)))
+        }
+        Outcome::Nothing(..) => Ok(Outcome::Nothing(reason, Some(light))),
+        outcome => Ok(outcome),
+    }
+}
+
+/// The same under light from wherever the solver seeks it.
+fn sought(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
     with_coarse_fit(solver, rules.choice, watch, |solver, start, watch| {
         let shown = is_glossy(solver, &start.coarse);
         let views = solver.seen.views.len();
@@ -102,8 +131,10 @@ fn may_be_refined(
     shown: bool,
     coarse: &CoarseFit<'_>,
 ) -> Result<bool, Stopped> {
-    let is_first = solver.seen.turning.is_none() && solver.first.is_none();
-    Ok(is_first && (!shown || blames_normals(solver, coarse)?))
+    // Under light from where the shading says, that is the mesh's own, other surfaces have been tried under light from anywhere.
+    let is_open =
+        solver.seen.turning.is_none() && solver.first.is_none() && solver.near_to.is_none();
+    Ok(is_open && (!shown || blames_normals(solver, coarse)?))
 }
 
 /// Whether normals may be off by what a coarse fit leaves, and not by what coarse cells do: a narrow lobe shows more of the lights than these
@@ -164,7 +195,7 @@ fn on_mesh(
     // Who states a roughness says that there is gloss.
     let is_stated = solver.sigma.is_some() && !coarse.state.lit().is_empty();
     if !shown && !is_stated {
-        return Ok(Outcome::Nothing(diagnose::NO_SPECULAR.to_owned()));
+        return Ok(Outcome::Nothing(diagnose::NO_SPECULAR.to_owned(), None));
     }
     let ending = end(solver, &coarse, because, (choice, Causes::All), watch)?;
     Ok(Outcome::Found(Box::new(Ending {

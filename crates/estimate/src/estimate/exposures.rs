@@ -64,7 +64,7 @@ pub fn together(before: &[f64], mut factors: Vec<f64>) -> Vec<f64> {
 /// evened: both are sought together, each lobe at roughnesses from the widest on.
 pub fn by_lights(solver: &Solver<'_>, models: &[SpecularModel]) -> Option<ByLights> {
     let colours = solver.coarse_colours();
-    let roots = solver.pyramid.roots();
+    let roots = solver.roots();
     // Shadows would pass for dark views.
     let shadowed = solver.coarse_design(&colours);
     let of_model = |&model: &SpecularModel| {

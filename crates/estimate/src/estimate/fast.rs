@@ -62,6 +62,9 @@ const SETTLED: f64 = 3e-4;
 /// Frequency of the coarsest grid.
 pub const COARSEST: u32 = 11;
 
+/// Distance from directions that light is sought near, in spacings of the coarsest cells.
+const NEAR_TO: f32 = 2.0;
+
 /// Points on the coarsest cells.
 const COARSE_POINTS: usize = 1500;
 
@@ -185,6 +188,8 @@ pub struct Solver<'a> {
     pub sigma: Option<f32>,
     /// What a first estimate has found.
     pub first: Option<&'a Estimate>,
+    /// Directions that light is sought near, where that is not everywhere.
+    pub near_to: Option<&'a [Vec3]>,
     /// Set once the observer wants no more.
     pub stop: &'a AtomicBool,
 }
@@ -264,6 +269,7 @@ impl<'a> Solver<'a> {
             workspace,
             sigma,
             first: input.first.map(|first| first.estimate),
+            near_to: None,
             stop,
         }
     }
@@ -361,10 +367,35 @@ impl Solver<'_> {
         })
     }
 
+    /// The same solver with light sought near some directions only.
+    pub fn near_to<'b>(&'b self, directions: &'b [Vec3]) -> Solver<'b> {
+        Solver {
+            near_to: Some(directions),
+            coarse: self.coarse.clone(),
+            coarse_sees: OnceLock::new(),
+            ..*self
+        }
+    }
+
+    /// The coarsest cells in which light is sought.
+    pub fn roots(&self) -> Vec<Cell> {
+        let roots = self.pyramid.roots();
+        let Some(directions) = self.near_to else {
+            return roots;
+        };
+        let least = (NEAR_TO * self.pyramid.spacing(0)).cos();
+        let own = self.pyramid.geometry(&roots).directions;
+        let is_near = |own: &Vec3| directions.iter().any(|other| other.dot(*own) >= least);
+        let near = roots.into_iter().zip(own);
+        near.filter(|(_, own)| is_near(own))
+            .map(|(cell, _)| cell)
+            .collect()
+    }
+
     /// The coarsest cells, unlit.
     pub fn dark_roots(&self, brdf: Brdf) -> State<'_> {
         let design = self.coarse_design(&self.coarse);
-        State::new(design, self.pyramid.roots(), brdf)
+        State::new(design, self.roots(), brdf)
     }
 
     /// Improves a coarse fit by a few steps. These may leave more unexplained than was before them, which does not count against
@@ -723,7 +754,7 @@ impl Solver<'_> {
         let sees = || self.roots_design(observations, self.near).seen;
         Design {
             seen: self.coarse_sees.get_or_init(sees).clone(),
-            ..self.design(observations, &self.pyramid.roots())
+            ..self.design(observations, &self.roots())
         }
     }
 
@@ -733,7 +764,7 @@ impl Solver<'_> {
         observations: &'s Observations,
         near: Option<(Vec3, f32)>,
     ) -> Design<'s> {
-        let roots = self.pyramid.roots();
+        let roots = self.roots();
         let mut design = Design {
             near,
             ..self.design(observations, &roots)

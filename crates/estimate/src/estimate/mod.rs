@@ -69,7 +69,6 @@ use observer::go_on;
 pub use observer::{Interim, Iteration, Observer, Stopped, Unobserved};
 pub use observer::{Watcher, watched};
 pub use relief::RefinedSurface;
-use shading::light_by_shading;
 use suspects::Suspicion;
 use turntable::Turning;
 use workspace::Workspace;
@@ -553,15 +552,10 @@ fn run(
         exposures: evens.then_some(start.rounds > 0),
     };
     match course::run(&solver, rules, &mut watch)? {
-        Outcome::Nothing(reason) => {
+        Outcome::Nothing(reason, by_shading) => {
             result.diagnostics.warnings.push(reason);
-            go_on(watch.observer.progress("looking at the shading", 0.9))?;
-            let by_shading = if turning.is_none() {
-                light_by_shading(&solver)
-            } else {
-                None
-            };
-            if let Some((grid, nodes)) = by_shading {
+            if let Some(light) = by_shading {
+                let (grid, nodes) = light.into_nodes();
                 let said = diagnose::BY_SHADING.to_owned();
                 result.diagnostics.warnings.push(said);
                 (result.grid, result.radiance) = (grid, nodes);

@@ -14,6 +14,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use faer::Mat;
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::cells::{Cell, Pyramid};
@@ -23,7 +24,7 @@ use super::lobes::light_from;
 use super::observations::{Observations, Point};
 use super::weights::{magnitude, median};
 use rekindle_base::math::nnls::{self, NnlsParams};
-use rekindle_base::math::ranks::{SURE, signed_ranks};
+use rekindle_base::math::ranks::{SURE, placed_signed_ranks, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
 
 /// Points that are looked at, and frequency of the grid of the cells: 162 of them, 16° apart.
@@ -70,44 +71,108 @@ struct Shading<'a> {
     joined: Vec<[usize; 2]>,
 }
 
-/// Radiance per node of a grid all around, RGB and in the capture's units; `None` where it makes the albedo no evener than light
-/// from everywhere would, beyond chance.
-pub fn light_by_shading(solver: &Solver<'_>) -> Option<(HemisphereGrid, Vec<[f32; 3]>)> {
-    let grid = solver.grid.to_whole();
-    let pyramid = Pyramid::new(&grid, FREQUENCY);
-    let observations = solver.colours(POINTS).measured();
-    let mut cells = pyramid.roots();
-    let pairs = pairs(&observations.points);
-    let mut shading = Shading::new(solver, &observations, &pyramid, &cells, &pairs);
-    let (smoothness, mut judged) = shading.smoothness()?;
-    for _ in 0..SPLITS {
+/// The light that shading tells.
+pub struct LightByShading {
+    /// Nodes all around.
+    grid: HemisphereGrid,
+    pyramid: Pyramid,
+    cells: Vec<Cell>,
+    /// Radiance of each cell, RGB, in the capture's units.
+    radiance: Vec<[f32; 3]>,
+}
+
+impl LightByShading {
+    /// What makes the albedos evener than light from everywhere would, beyond chance; `None` where nothing does.
+    pub fn of(solver: &Solver<'_>) -> Option<Self> {
+        let grid = solver.grid.to_whole();
+        let pyramid = Pyramid::new(&grid, FREQUENCY);
+        let observations = solver.colours(POINTS).measured();
+        let mut cells = pyramid.roots();
+        let pairs = pairs(&observations.points);
+        let mut shading = Shading::new(solver, &observations, &pyramid, &cells, &pairs);
+        let (smoothness, mut judged) = shading.smoothness()?;
+        for _ in 0..SPLITS {
+            let x = shading.light(shading.pairs, smoothness);
+            let finer = lit_children(&pyramid, &cells, &x);
+            if finer.len() > MOST_CELLS {
+                break;
+            }
+            let on_finer = Shading::new(solver, &observations, &pyramid, &finer, &pairs);
+            let again = on_finer.judged(smoothness);
+            if signed_ranks(&judged, &again) <= SURE {
+                break;
+            }
+            (cells, shading, judged) = (finer, on_finer, again);
+        }
         let x = shading.light(shading.pairs, smoothness);
-        let finer = lit_children(&pyramid, &cells, &x);
-        if finer.len() > MOST_CELLS {
-            break;
-        }
-        let on_finer = Shading::new(solver, &observations, &pyramid, &finer, &pairs);
-        let again = on_finer.judged(smoothness);
-        if signed_ranks(&judged, &again) <= SURE {
-            break;
-        }
-        (cells, shading, judged) = (finer, on_finer, again);
+        // The others are left to the ambient light, which is read off the texture.
+        let bright = brightest(&x, &shading.mean, MOST);
+        let unit = f64::from(solver.coarse.scale) * shading.usual / MEAN_ALBEDO;
+        let channels = [0, 1, 2].map(|channel| {
+            shading.radiance = over_mean(&diffuse(&observations, |v| v[channel])).1;
+            shading.light(shading.pairs, smoothness)
+        });
+        let of_cell = |k: usize| {
+            let unit = if bright[k] { unit } else { 0.0 };
+            channels.each_ref().map(|x| (unit * x[k]) as f32)
+        };
+        let radiance = (0..cells.len()).map(of_cell).collect();
+        Some(Self {
+            grid,
+            pyramid,
+            cells,
+            radiance,
+        })
     }
-    let x = shading.light(shading.pairs, smoothness);
-    // The others are left to the ambient light, which is read off the texture.
-    let bright = brightest(&x, &shading.mean, MOST);
-    let unit = f64::from(solver.coarse.scale) * shading.usual / MEAN_ALBEDO;
-    let channels = [0, 1, 2].map(|channel| {
-        shading.radiance = over_mean(&diffuse(&observations, |v| v[channel])).1;
-        shading.light(shading.pairs, smoothness)
-    });
-    let of_cell = |k: usize| {
-        let unit = if bright[k] { unit } else { 0.0 };
-        channels.each_ref().map(|x| (unit * x[k]) as f32)
-    };
-    let radiance: Vec<[f32; 3]> = (0..cells.len()).map(of_cell).collect();
-    let nodes = pyramid.to_nodes(&cells, &radiance);
-    Some((grid, nodes))
+
+    /// The nodes, with the radiance of each, RGB.
+    pub fn into_nodes(self) -> (HemisphereGrid, Vec<[f32; 3]>) {
+        let nodes = self.pyramid.to_nodes(&self.cells, &self.radiance);
+        (self.grid, nodes)
+    }
+
+    /// Whether other lights make neighbouring albedos differ by no more than this one does, but by chance.
+    pub fn bears_out(
+        &self,
+        solver: &Solver<'_>,
+        grid: &HemisphereGrid,
+        nodes: &[[f32; 3]],
+    ) -> bool {
+        let observations = solver.colours(POINTS).measured();
+        let pairs = pairs(&observations.points);
+        let gray = |radiance: &[[f32; 3]]| -> Vec<f64> {
+            let gray = radiance.iter().map(|&l| f64::from(magnitude(l)));
+            gray.collect()
+        };
+        let own = Shading::new(solver, &observations, &self.pyramid, &self.cells, &pairs);
+        let own = own.contrasts(&pairs, &own.normalised(gray(&self.radiance)));
+        let lit: Vec<usize> = (0..nodes.len())
+            .filter(|&k| magnitude(nodes[k]) > 0.0)
+            .collect();
+        let lights: Vec<(Vec3, f32)> = lit
+            .iter()
+            .map(|&k| (grid.directions[k], grid.solid_angle))
+            .collect();
+        let radiance: Vec<[f32; 3]> = lit.iter().map(|&k| nodes[k]).collect();
+        let other = Shading::under(solver, &observations, &lights, &pairs);
+        let other = other.contrasts(&pairs, &other.normalised(gray(&radiance)));
+        let places = pairs
+            .iter()
+            .map(|pair| observations.points[pair[0]].position);
+        let placed: Vec<_> = (places.zip(other).zip(own))
+            .map(|((at, other), own)| (at, other, own))
+            .collect();
+        placed_signed_ranks(&placed) <= SURE
+    }
+
+    /// Directions of the cells that are lit.
+    pub fn directions(&self) -> Vec<Vec3> {
+        let directions = self.pyramid.geometry(&self.cells).directions.into_iter();
+        let lit = directions.zip(&self.radiance);
+        lit.filter(|(_, light)| light.iter().any(|&v| v > 0.0))
+            .map(|(direction, _)| direction)
+            .collect()
+    }
 }
 
 /// Neighbouring points, the first of each pair before the second.
@@ -159,33 +224,47 @@ impl<'a> Shading<'a> {
         cells: &[Cell],
         pairs: &'a [[usize; 2]],
     ) -> Self {
-        let (usual, radiance) = over_mean(&diffuse(observations, magnitude));
         let geometry = pyramid.geometry(cells);
+        let lights = geometry.directions.into_iter().zip(geometry.solid_angles);
+        Self {
+            joined: pyramid.joined(cells),
+            ..Self::under(solver, observations, &lights.collect::<Vec<_>>(), pairs)
+        }
+    }
+
+    /// The same under any lights, in directions and of solid angles, that are not held together.
+    fn under(
+        solver: &'a Solver<'_>,
+        observations: &Observations,
+        lights: &[(Vec3, f32)],
+        pairs: &'a [[usize; 2]],
+    ) -> Self {
+        let (usual, radiance) = over_mean(&diffuse(observations, magnitude));
         let irradiance = |point: &Point| -> Vec<f64> {
             if solver.stop.load(Ordering::Relaxed) {
-                return vec![0.0; cells.len()];
+                return vec![0.0; lights.len()];
             }
             let origin = solver.occluder.offset_origin(point.position, point.normal);
-            let of = |k: usize| {
-                let (to, falloff) = light_from(solver.near, geometry.directions[k], point.position);
+            let of = |&(direction, solid_angle): &(Vec3, f32)| {
+                let (to, falloff) = light_from(solver.near, direction, point.position);
                 let cosine = point.normal.dot(to);
                 if cosine <= 0.0 || solver.occluder.occluded(origin, to, f32::INFINITY) {
                     return 0.0;
                 }
-                f64::from(falloff * cosine * geometry.solid_angles[k])
+                f64::from(falloff * cosine * solid_angle)
             };
-            (0..cells.len()).map(of).collect()
+            lights.iter().map(of).collect()
         };
         let irradiance: Vec<Vec<f64>> = observations.points.par_iter().map(irradiance).collect();
-        let of_cell = |k: usize| mean(&irradiance.iter().map(|row| row[k]).collect::<Vec<_>>());
+        let of_light = |k: usize| mean(&irradiance.iter().map(|row| row[k]).collect::<Vec<_>>());
         Self {
             stop: solver.stop,
             usual,
             radiance,
-            mean: (0..cells.len()).map(of_cell).collect(),
+            mean: (0..lights.len()).map(of_light).collect(),
             irradiance,
             pairs,
-            joined: pyramid.joined(cells),
+            joined: Vec::new(),
         }
     }
 

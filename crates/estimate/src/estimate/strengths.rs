@@ -66,7 +66,7 @@ impl Solver<'_> {
     pub fn strengths(&self, watch: &mut Watch<'_>) -> Result<Option<GlossParts>, Stopped> {
         let colours = self.colours(POINTS).without_parts();
         let gray = colours.to_gray();
-        let cells = self.pyramid.roots();
+        let cells = self.roots();
         let search = Search {
             solver: self,
             seen: self.roots_design(&gray, self.near).seen,

@@ -178,7 +178,7 @@ impl Solver<'_> {
         let without = |view: usize| {
             let (observations, rows) = self.coarse.without_views(|other| other == view);
             let design = self.roots_design(&observations, self.near);
-            let dark = State::new(design, self.pyramid.roots(), fit.brdf);
+            let dark = State::new(design, self.roots(), fit.brdf);
             let mut state = dark.lit_at(fit.brdf.sigma);
             self.improve_quietly(&mut state, ROUNDS, ROUGH)?;
             Ok((self.left_in_rows(&state, &rows), state.brdf.sigma))
@@ -280,11 +280,7 @@ impl Solver<'_> {
         } else {
             self.roots_design(change.observations, change.near)
         };
-        let dark = State::new(
-            design,
-            self.pyramid.roots(),
-            Brdf::new(change.models[0], sigma),
-        );
+        let dark = State::new(design, self.roots(), Brdf::new(change.models[0], sigma));
         let start = downhill(&dark, sigma);
         let others = change.models[1..].par_iter().map(|&model| {
             let mut state = dark.clone();

@@ -13,6 +13,7 @@ use glam::{DVec3, Vec3};
 use super::cells::{Cell, Pyramid};
 use super::design::{Design, Prediction};
 use super::observations::{Observations, Point, Row};
+use super::shading::LightByShading;
 use super::state::{EXACT, State};
 use super::visibility::SeenCells;
 use super::weights::{initial_weights, residuals, robust_weights};
@@ -45,6 +46,15 @@ fn run_on(
     method: Method,
     observer: &mut dyn Observer,
 ) -> Result<Estimate, Stopped> {
+    let params = EstimateParams {
+        method,
+        ..EstimateParams::default()
+    };
+    with_input(capture, |input| estimate(input, &params, observer))
+}
+
+/// Something done with what an estimate is made of.
+fn with_input<R>(capture: &Capture, then: impl FnOnce(&EstimateInput<'_>) -> R) -> R {
     let occluder = Occluder::new(&capture.mesh);
     let surfaces: Vec<ViewSurface> = capture
         .views
@@ -57,18 +67,23 @@ fn run_on(
         None,
         capture.mesh.centre(),
     );
-    let input = EstimateInput {
+    then(&EstimateInput {
         capture,
         surfaces: &surfaces,
         occluder: &occluder,
         grid: &grid,
         first: None,
-    };
-    let params = EstimateParams {
-        method,
-        ..EstimateParams::default()
-    };
-    estimate(&input, &params, observer)
+    })
+}
+
+/// Something done with the solver of a capture.
+fn with_solver<R>(capture: &Capture, then: impl FnOnce(&Solver<'_>) -> R) -> R {
+    with_input(capture, |input| {
+        let pyramid = Pyramid::new(input.grid, fast::COARSEST);
+        let with = (&*SHORTCUTS, &WORKSPACE);
+        let now = Instant::now();
+        then(&Solver::new(input, None, &pyramid, with, None, now, &NEVER))
+    })
 }
 
 fn fast(capture: &Capture) -> Estimate {
@@ -363,6 +378,65 @@ fn a_scan_of_a_surface_half_of_which_has_no_gloss_is_refined() {
     assert!(found.refined.is_some(), "{:?}", found.diagnostics);
     lamps_of_spot_paper_are_within(&found, 2.0);
     parts_are_half_dull(&found, &places);
+}
+
+#[test]
+fn lights_that_the_shading_contradicts_are_told() {
+    let mut matte = load();
+    for (view, picture) in matte.views.iter_mut().zip(true_diffuse(&load())) {
+        Arc::make_mut(&mut view.photograph).radiance = picture;
+    }
+    with_solver(&matte, |solver| {
+        let by_shading = LightByShading::of(solver).expect("two lamps shade");
+        let bears_out = |lamps: &[(Vec3, f32)]| {
+            let mut nodes = vec![[0.0; 3]; solver.grid.directions.len()];
+            for &(direction, flux) in lamps {
+                nodes[solver.grid.nearest(direction).unwrap()] = [flux; 3];
+            }
+            by_shading.bears_out(solver, solver.grid, &nodes)
+        };
+        // From the truth.json of spot_paper.
+        let [one, other] = [(LAMPS[0], 2.353), (LAMPS[1], 1.647)];
+        assert!(bears_out(&[one, other]), "the lamps as they are");
+        let brighter = [one, other].map(|(direction, flux)| (direction, 5.0 * flux));
+        assert!(bears_out(&brighter), "their strength is open");
+        assert!(!bears_out(&[one]), "one of them alone");
+        let turn = glam::Quat::from_rotation_y(0.5);
+        let turned = [one, other].map(|(direction, flux)| (turn * direction, flux));
+        assert!(!bears_out(&turned), "lamps that are elsewhere");
+    });
+}
+
+#[test]
+fn light_is_sought_near_where_it_is_known_to_come_from_and_nowhere_else() {
+    let (capture, _) = half_dull();
+    with_solver(&capture, |solver| {
+        let near = solver.near_to(&LAMPS);
+        assert!(near.roots().len() * 10 < solver.roots().len());
+        let mut watch = Watch {
+            iterations: &mut Vec::new(),
+            observer: &mut Unobserved,
+        };
+        let parts = near.strengths(&mut watch).unwrap().expect("gloss on half");
+        let parted = near.parted(&parts);
+        let mut fit = parted
+            .compare_sigmas(SpecularModel::Paper, None, &mut watch)
+            .unwrap();
+        parted.improve_coarse(&mut fit, &mut watch).unwrap();
+        let directions = &fit.state.design.geometry.directions;
+        let lit = fit.state.lit();
+        let flux = |k: usize| fit.state.radiance[k][1];
+        let all: f32 = lit.iter().map(|&k| flux(k)).sum();
+        for truth in LAMPS {
+            let at = |k: &&usize| directions[**k].angle_between(truth) < 0.15;
+            let share = lit.iter().filter(at).map(|&k| flux(k)).sum::<f32>() / all;
+            assert!(share > 0.3, "{share}");
+        }
+        for &k in &lit {
+            let off = LAMPS.map(|truth| directions[k].angle_between(truth));
+            assert!(off[0].min(off[1]) < 0.25, "{off:?}");
+        }
+    });
 }
 
 #[test]
