@@ -38,7 +38,7 @@ pub enum Outcome {
     /// Roughness and lights.
     Found(Box<Ending>),
     /// There are none, for this reason, and what the shading says of light.
-    Nothing(String, Option<LightByShading>),
+    Nothing(String, Option<Box<LightByShading>>),
     /// The views' exposures differ by these factors: everything is to be done again with them evened out.
     Exposures(Vec<f64>),
 }
@@ -82,7 +82,7 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
         return Ok(Outcome::Nothing(reason, None));
     }
     go_on(watch.observer.progress("looking at the shading", 0.3))?;
-    let Some(light) = LightByShading::of(solver) else {
+    let Some(light) = LightByShading::of(solver).map(Box::new) else {
         return Ok(Outcome::Nothing(reason, None));
     };
     let directions = light.directions();
