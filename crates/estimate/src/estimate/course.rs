@@ -78,13 +78,16 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
     let Outcome::Nothing(reason, _) = outcome else {
         return Ok(outcome);
     };
-    if solver.seen.turning.is_some() || watch.observer.enough() {
+    if solver.seen.turning.is_some() {
         return Ok(Outcome::Nothing(reason, None));
     }
     go_on(watch.observer.progress("looking at the shading", 0.3))?;
     let Some(light) = LightByShading::of(solver).map(Box::new) else {
         return Ok(Outcome::Nothing(reason, None));
     };
+    if watch.observer.enough() {
+        return Ok(Outcome::Nothing(reason, Some(light)));
+    }
     let directions = light.directions();
     match sought(&solver.near_to(&directions), rules, watch)? {
         Outcome::Found(ending)
@@ -131,7 +134,7 @@ fn may_be_refined(
     shown: bool,
     coarse: &CoarseFit<'_>,
 ) -> Result<bool, Stopped> {
-    // Under light from where the shading says, that is the mesh's own, other surfaces have been tried under light from anywhere.
+    // Before light is sought near where the shading says, other surfaces have been tried under light from anywhere.
     let is_open =
         solver.seen.turning.is_none() && solver.first.is_none() && solver.near_to.is_none();
     Ok(is_open && (!shown || blames_normals(solver, coarse)?))

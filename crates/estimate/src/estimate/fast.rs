@@ -62,7 +62,8 @@ const SETTLED: f64 = 3e-4;
 /// Frequency of the coarsest grid.
 pub const COARSEST: u32 = 11;
 
-/// Distance from directions that light is sought near, in spacings of the coarsest cells.
+/// Distance from directions that light is sought near, in spacings of the coarsest cells: with one, gloss on few parts of a path-traced
+/// elephant was missed.
 const NEAR_TO: f32 = 2.0;
 
 /// Points on the coarsest cells.
