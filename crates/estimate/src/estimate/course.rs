@@ -70,35 +70,62 @@ pub struct Rules {
     pub exposures: Option<bool>,
 }
 
-/// The default method from the first look to the end. Where no gloss shows under light from anywhere, it is looked for under light from where
-/// the shading says: few lights can stand there for what is left out, so that faint gloss, or on few parts, is more than these explain. What is
-/// found so has to be sound, and to make the albedo no less even than the light by shading does.
+/// The default method from the first look to the end. Where no gloss shows under light from anywhere, or what is found is to be doubted, it is
+/// looked for under light from where the shading says: few lights can stand there for what is left out, so that faint gloss, or on few
+/// parts, is more than these explain. What is found so has to be sound, and to make the albedo no less even than the light by shading does.
 pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
     let outcome = sought(solver, rules, watch)?;
-    let Outcome::Nothing(reason, _) = outcome else {
+    if !may_be_bettered(solver, &outcome) {
         return Ok(outcome);
-    };
-    if solver.seen.turning.is_some() {
-        return Ok(Outcome::Nothing(reason, None));
     }
     go_on(watch.observer.progress("looking at the shading", 0.3))?;
-    let Some(light) = LightByShading::of(solver).map(Box::new) else {
-        return Ok(Outcome::Nothing(reason, None));
+    let light = LightByShading::of(solver).map(Box::new);
+    let bettered = match &light {
+        Some(light) if !watch.observer.enough() => borne_out(solver, light, rules, watch)?,
+        _ => None,
     };
-    if watch.observer.enough() {
-        return Ok(Outcome::Nothing(reason, Some(light)));
-    }
-    let directions = light.directions();
-    match sought(&solver.near_to(&directions), rules, watch)? {
-        Outcome::Found(ending)
-            if diagnose::misfit(&ending.fit.misfit).is_some()
-                || !light.bears_out(solver, &ending.grid, &ending.fit.nodes) =>
-        {
-            Ok(Outcome::Nothing(reason, Some(light)))
+    Ok(match (bettered, outcome) {
+        (Some(bettered), _) => bettered,
+        (None, Outcome::Nothing(reason, _)) => Outcome::Nothing(reason, light),
+        (None, outcome) => outcome,
+    })
+}
+
+/// Whether light from where the shading says may do better. Other surfaces are tried under light from anywhere only; what a first estimate
+/// has found is not looked for again, nor what a second one will better.
+fn may_be_bettered(solver: &Solver<'_>, outcome: &Outcome) -> bool {
+    let is_still = solver.seen.turning.is_none();
+    is_still
+        && match outcome {
+            Outcome::Nothing(..) => true,
+            Outcome::Found(ending) => {
+                let is_only =
+                    solver.first.is_none() && ending.fit.brdf.model != SpecularModel::Metal;
+                let is_doubted = diagnose::misfit(&ending.fit.misfit).is_some();
+                is_only && is_doubted && ending.refined.is_none()
+            }
+            Outcome::Exposures(_) => false,
         }
-        Outcome::Nothing(..) => Ok(Outcome::Nothing(reason, Some(light))),
-        outcome => Ok(outcome),
-    }
+}
+
+/// What is found near the light by shading, if it is sound and that bears it out; or that exposures differ.
+fn borne_out(
+    solver: &Solver<'_>,
+    light: &LightByShading,
+    rules: Rules,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Outcome>, Stopped> {
+    let directions = light.directions();
+    let outcome = sought(&solver.near_to(&directions), rules, watch)?;
+    let is_sound = match &outcome {
+        Outcome::Found(ending) => {
+            diagnose::misfit(&ending.fit.misfit).is_none()
+                && light.bears_out(solver, &ending.grid, &ending.fit.nodes)
+        }
+        Outcome::Nothing(..) => false,
+        Outcome::Exposures(_) => true,
+    };
+    Ok(is_sound.then_some(outcome))
 }
 
 /// The same under light from wherever the solver seeks it.
@@ -306,8 +333,9 @@ fn on_refined(
             return Ok(None);
         }
         // Turned normals can stand for much else that is wrong: what has a name, and leaves less, goes before them.
-        let named = on_mesh.contradicted(&coarse.state)?;
-        if named.is_some_and(|named| named.leaves * left_before <= left_after) {
+        let worth = left_after / left_before;
+        let named = on_mesh.contradicted(&coarse.state, worth)?;
+        if named.is_some_and(|named| named.leaves <= worth) {
             return Ok(None);
         }
         on_glossy(solver, start, (&mut relief, &on_mesh.seen), choice, watch)

@@ -345,6 +345,35 @@ impl Design<'_> {
         });
     }
 
+    /// What unit radiance of each cell shows in every row, row by row: the matrix of eq. 7.
+    pub fn matrix(&self, brdf: &Brdf) -> Vec<f32> {
+        let n = self.cells();
+        let lobes = self.lobes(brdf);
+        let mut matrix = vec![0.0; self.observations.rows.len() * n];
+        let mut rest = matrix.as_mut_slice();
+        let blocks: Vec<_> = (self.blocks(0, self.observations.points.len()).into_iter())
+            .map(|points| {
+                let size = self.observations.rows_of(&points).len() * n;
+                (points, rest.split_off_mut(..size).unwrap_or_default())
+            })
+            .collect();
+        let room = || lobes[0].point();
+        blocks
+            .into_par_iter()
+            .for_each_init(room, |light, (points, values)| {
+                let mut rest = values.chunks_exact_mut(n);
+                for index in points {
+                    let lobes = &lobes[self.observations.points[index].gloss];
+                    self.each_row(lobes, index, light, |_, terms, light| {
+                        if let Some(row) = rest.next() {
+                            lobes.row(terms, light, row, None);
+                        }
+                    });
+                }
+            });
+        matrix
+    }
+
     /// Specular radiance of every row under the cells' radiances, with its derivative by σ.
     pub fn predict(&self, brdf: &Brdf, radiance: &[[f32; 3]]) -> Prediction {
         let (value, by_sigma) = self.predicted(brdf, radiance, true);

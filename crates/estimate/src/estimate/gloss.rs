@@ -7,6 +7,7 @@
 //! further gloss counts where it explains views that had no say in it better, beyond chance.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::Vec3;
@@ -18,9 +19,9 @@ use super::cells::Cell;
 use super::design::{Design, Prediction};
 use super::fast::Solver;
 use super::held_out::CHANCE;
-use super::observations::{Observations, Point, Sampling, Seen};
+use super::observations::{Observations, Point, Row, Sampling, Seen};
 use super::state::State;
-use super::weights::{deviation, eliminate, log_diffuse, magnitude, median};
+use super::weights::{deviation, eliminate, log_diffuse, magnitude, median, shares};
 use rekindle_base::math::ranks::{placed_signed_ranks, signed_ranks};
 use rekindle_scene::reflectance::{Brdf, Gloss};
 use rekindle_scene::surface::{GlossParts, PartPoint, likeness};
@@ -200,9 +201,7 @@ impl Solver<'_> {
     ) -> Option<(f64, GlossParts, Gloss)> {
         self.on_board(state, |board, lit| {
             let of_chance = |chance: f64| {
-                let is_better =
-                    |fewer: &[Kind], more: &[Kind]| board.is_better(chance, fewer, more);
-                let kinds = board.kinds(is_better, self.stop);
+                let kinds = board.kinds_beyond(chance, self.stop);
                 let (parts, main) = board.parted(lit, &kinds)?;
                 Some((chance, parts, main))
             };
@@ -344,13 +343,52 @@ fn refined(lit: &Lit<'_>, parts: &[usize], kinds: &[Kind]) -> Vec<Gloss> {
     own.glosses
 }
 
+/// One value a row, and what each row shows of its point's diffuse colour beside it.
+struct Column {
+    values: Vec<f32>,
+    transmittance: Vec<f32>,
+}
+
+impl Column {
+    /// Gray values beside a lobe.
+    fn new(rows: &[Row], brdf: &Brdf, values: &[[f32; 3]]) -> Self {
+        Self {
+            values: values.iter().map(|value| value[0]).collect(),
+            transmittance: rows.par_iter().map(|row| row.diffuse_share(brdf)).collect(),
+        }
+    }
+
+    /// The values of a point's rows without the diffuse colour that some weights say.
+    fn eliminated(&self, own: Range<usize>, weights: &[f32]) -> Vec<f32> {
+        let shares = shares(&self.transmittance[own.clone()], weights);
+        let values = &self.values[own];
+        let mean: f32 = (shares.iter().zip(values))
+            .map(|((into, _), v)| into * v)
+            .sum();
+        (shares.iter().zip(values))
+            .map(|((_, t), v)| v - t * mean)
+            .collect()
+    }
+}
+
 impl Lit<'_> {
+    /// What is measured, and what lobes of [`ROUGHNESSES`] show.
+    fn columns(&self) -> (Column, [Column; ROUGHNESSES.len()]) {
+        let rows = &self.design.observations.rows;
+        let measured: Vec<[f32; 3]> = rows.iter().map(|row| row.radiance).collect();
+        let shown = ROUGHNESSES.map(|roughness| {
+            let brdf = Brdf::new(self.brdf.model, roughness * self.brdf.sigma);
+            let shown = self.design.predict_values(&brdf, &self.radiance);
+            Column::new(rows, &brdf, &shown)
+        });
+        (Column::new(rows, &self.brdf, &measured), shown)
+    }
+
     /// What the views of a point that are told say of its gloss, and what the others do, its diffuse colour being what the former say.
     fn evidence(
         &self,
         point: &Point,
-        measured: &[[f32; 3]],
-        shown: &[(Brdf, Vec<[f32; 3]>)],
+        (measured, shown): &(Column, [Column; ROUGHNESSES.len()]),
         is_told: impl Fn(usize) -> bool,
     ) -> [Evidence; 2] {
         let own = point.rows.clone();
@@ -363,23 +401,18 @@ impl Lit<'_> {
         if telling.iter().all(|&weight| weight == 0.0) {
             return evidence;
         }
-        let eliminated = |brdf: &Brdf, values: &[[f32; 3]]| {
-            let mut values = values[own.clone()].to_vec();
-            eliminate(brdf, rows, &telling, &mut values);
-            values
-        };
         let counted: Vec<(usize, f64)> = (rows.iter().zip(weights))
             .map(|(row, &weight)| (usize::from(!is_told(row.view)), f64::from(weight)))
             .collect();
-        let measured = eliminated(&self.brdf, measured);
-        for (k, &(of, weight)) in counted.iter().enumerate() {
-            evidence[of].all += weight * f64::from(measured[k][0]).powi(2);
+        let measured = measured.eliminated(own.clone(), &telling);
+        for (&value, &(of, weight)) in measured.iter().zip(&counted) {
+            evidence[of].all += weight * f64::from(value).powi(2);
         }
-        for (at, (brdf, shown)) in shown.iter().enumerate() {
-            let shown = eliminated(brdf, shown);
-            for (k, &(of, weight)) in counted.iter().enumerate() {
-                let a = f64::from(shown[k][0]);
-                evidence[of].with[at] += weight * a * f64::from(measured[k][0]);
+        for (at, shown) in shown.iter().enumerate() {
+            let shown = shown.eliminated(own.clone(), &telling);
+            for ((&shown, &measured), &(of, weight)) in shown.iter().zip(&measured).zip(&counted) {
+                let a = f64::from(shown);
+                evidence[of].with[at] += weight * a * f64::from(measured);
                 evidence[of].of[at] += weight * a * a;
             }
         }
@@ -392,15 +425,11 @@ impl<'a> Board<'a> {
         let rows = &lit.design.observations.rows;
         let views = rows.iter().map(|row| row.view + 1).max().unwrap_or(0);
         let turns = views.min(FOLDS);
-        let measured: Vec<[f32; 3]> = rows.iter().map(|row| row.radiance).collect();
-        let shown = ROUGHNESSES.map(|roughness| {
-            let brdf = Brdf::new(lit.brdf.model, roughness * lit.brdf.sigma);
-            (brdf, lit.design.predict_values(&brdf, &lit.radiance))
-        });
+        let columns = lit.columns();
         let fold = |turn: usize| -> Fold {
             let points = observations.points.par_iter();
             let is_told = |view: usize| view % turns != turn;
-            let of_point = |point| lit.evidence(point, &measured, &shown, is_told).into();
+            let of_point = |point| lit.evidence(point, &columns, is_told).into();
             let (told, judging) = points.map(of_point).unzip();
             Fold { told, judging }
         };
@@ -470,7 +499,11 @@ impl<'a> Board<'a> {
     }
 
     /// The glosses that explain the points, the one for all first: more as long as these are `better`.
-    fn kinds(&self, better: impl Fn(&[Kind], &[Kind]) -> bool, stop: &AtomicBool) -> Vec<Kind> {
+    fn kinds(
+        &self,
+        mut better: impl FnMut(&[Kind], &[Kind]) -> bool,
+        stop: &AtomicBool,
+    ) -> Vec<Kind> {
         let pooled = self.pooled(&self.evidence);
         let all: Vec<usize> = (0..self.evidence.len()).collect();
         let mut kinds = vec![self.kind_of(&all)];
@@ -499,10 +532,14 @@ impl<'a> Board<'a> {
             let mut more = kinds.clone();
             more.push(candidates[best]);
             for _ in 0..ROUNDS {
+                let before = more.clone();
                 let parts = self.walk(&more, &self.evidence);
                 for (k, kind) in more.iter_mut().enumerate() {
                     let own: Vec<usize> = (0..parts.len()).filter(|&i| parts[i] == k).collect();
                     *kind = self.kind_of(&own);
+                }
+                if more == before {
+                    break;
                 }
             }
             if !better(&kinds, &more) {
@@ -538,30 +575,50 @@ impl<'a> Board<'a> {
         }
     }
 
-    /// Whether more kinds explain views that had no say in the parts better, by more than `chance`: what is wrong with a highlight in
-    /// one view, such as a shadow's edge or what the surface mirrors of itself, is no gloss, and others don't show it. The views are
-    /// compared in turn, and, where few places show a highlight, parts of space that hold as much of what is left.
-    fn is_better(&self, chance: f64, fewer: &[Kind], more: &[Kind]) -> bool {
-        let errors = |kinds: &[Kind]| -> Vec<f64> {
-            let of_fold = |fold: &Fold| -> Vec<f64> {
-                let parts = self.walk(kinds, &fold.told).into_iter();
-                let errors = parts.zip(&fold.judging);
-                errors
-                    .map(|(part, judging)| kinds[part].error(judging))
-                    .collect()
-            };
-            self.folds.par_iter().flat_map(of_fold).collect()
+    /// Whether more kinds explain views that had no say in the parts better, by more than `chance`, by what each leaves there: what is
+    /// wrong with a highlight in one view, such as a shadow's edge or what the surface mirrors of itself, is no gloss, and others don't
+    /// show it. The views are compared in turn, and, where few places show a highlight, parts of space that hold as much of what is left.
+    fn is_better(&self, chance: f64, fewer: &[f64], more: &[f64]) -> bool {
+        // Twice the negative logarithm of a Cauchy likelihood: a part that is told wrongly is off by a thousand deviations where its
+        // highlight would be, and must not outweigh all others.
+        let unlikely = |errors: &[f64]| -> f64 {
+            let squares = errors.iter().map(|error| error * error / self.unit);
+            squares.map(f64::ln_1p).sum()
         };
-        let (fewer, more) = rayon::join(|| errors(fewer), || errors(more));
-        if more.iter().sum::<f64>() >= fewer.iter().sum::<f64>() {
+        if unlikely(more) >= unlikely(fewer) {
             return false;
         }
         let points = (0..self.evidence.len()).map(|i| self.place(i)).cycle();
-        let pairs = points.zip(&fewer).zip(&more);
+        let pairs = points.zip(fewer).zip(more);
         let pairs: Vec<_> = pairs
             .map(|((at, fewer), more)| (at, *fewer, *more))
             .collect();
-        signed_ranks(&fewer, &more).max(placed_signed_ranks(&pairs)) > chance
+        signed_ranks(fewer, more).max(placed_signed_ranks(&pairs)) > chance
+    }
+
+    /// What kinds leave of views that had no say in the parts, fold by fold and point by point.
+    fn errors(&self, kinds: &[Kind]) -> Vec<f64> {
+        let of_fold = |fold: &Fold| -> Vec<f64> {
+            let parts = self.walk(kinds, &fold.told).into_iter();
+            let errors = parts.zip(&fold.judging);
+            errors
+                .map(|(part, judging)| kinds[part].error(judging))
+                .collect()
+        };
+        self.folds.par_iter().flat_map(of_fold).collect()
+    }
+
+    /// The kinds of which each further one is better beyond `chance`; see [`Board::is_better`].
+    fn kinds_beyond(&self, chance: f64, stop: &AtomicBool) -> Vec<Kind> {
+        let mut known: Option<Vec<f64>> = None;
+        let is_better = |fewer: &[Kind], more: &[Kind]| {
+            let left = known.take().unwrap_or_else(|| self.errors(fewer));
+            let left_by_more = self.errors(more);
+            let is_better = self.is_better(chance, &left, &left_by_more);
+            known = Some(left_by_more);
+            is_better
+        };
+        self.kinds(is_better, stop)
     }
 
     /// Some evidence of each point with that of the points around it, of like colour.
@@ -726,6 +783,7 @@ mod tests {
     use glam::Vec2;
 
     use super::*;
+    use rekindle_base::math::ranks::SURE;
 
     /// Points along a side of the surface, and rows of each.
     const SIDE: usize = 60;
@@ -813,8 +871,7 @@ mod tests {
     }
 
     fn kinds(board: &Board<'_>) -> Vec<Kind> {
-        let is_better = |fewer: &[Kind], more: &[Kind]| board.is_better(3.0, fewer, more);
-        board.kinds(is_better, &AtomicBool::new(false))
+        board.kinds_beyond(3.0, &AtomicBool::new(false))
     }
 
     #[test]
@@ -853,5 +910,31 @@ mod tests {
         assert_eq!(one.len(), 1, "{one:?}");
         let none = kinds(&board(&observations, [0.0, 0.0], 0.4));
         assert_eq!(none.len(), 1, "{none:?}");
+    }
+
+    #[test]
+    fn a_part_that_is_told_wrongly_does_not_outweigh_all_others() {
+        let observations = observations();
+        let board = board(&observations, [0.0, 1.0], 1.0);
+        let all = FOLDS * observations.points.len();
+        // A row of points in one fold, off by a thousand deviations.
+        let is_told_wrongly = |k: usize| k / SIDE == 8;
+        let fewer: Vec<f64> = (0..all).map(|k| 6.0 + noise(k)).collect();
+        let better = |k: usize| {
+            if is_told_wrongly(k) {
+                1000.0
+            } else {
+                2.0 + noise(k)
+            }
+        };
+        let worse = |k: usize| {
+            if is_told_wrongly(k) {
+                0.0
+            } else {
+                7.0 + noise(k)
+            }
+        };
+        assert!(board.is_better(SURE, &fewer, &(0..all).map(better).collect::<Vec<_>>()));
+        assert!(!board.is_better(SURE, &fewer, &(0..all).map(worse).collect::<Vec<_>>()));
     }
 }

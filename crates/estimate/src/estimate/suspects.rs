@@ -52,7 +52,7 @@ const TYPICAL: f32 = 0.1;
 const SIGMA_RANGE: RangeInclusive<f32> = 0.01..=0.5;
 /// Rounds of improvement of a changed fit, …
 const ROUNDS: usize = 4;
-/// … which one that starts so much worse than the unchanged one is not worth.
+/// … which one that starts so much worse than it has to become is not worth.
 const HOPELESS: f64 = 1.3;
 /// Distances tried, as multiples of the one stated, and of half the object's diagonal where none is.
 const STATED_RADII: [f32; 4] = [0.5, 0.8, 1.25, 2.0];
@@ -120,14 +120,15 @@ pub fn determines_roughness(fit: &State<'_>) -> bool {
 impl Solver<'_> {
     /// What the photographs contradict, if there is anything: something that is stated, or else a view.
     pub fn suspicion(&self, fit: &State<'_>) -> Result<Option<Suspicion>, Stopped> {
-        match self.contradicted(fit)? {
+        match self.contradicted(fit, 1.0)? {
             Some(found) => Ok(Some(found)),
             None => self.odd_view(fit),
         }
     }
 
-    /// What is stated of lights or numbers and the photographs contradict, looked for from a coarse fit of everything as stated.
-    pub fn contradicted(&self, fit: &State<'_>) -> Result<Option<Suspicion>, Stopped> {
+    /// What is stated of lights or numbers and the photographs contradict, looked for from a coarse fit of everything as stated, where
+    /// what leaves more than a part `worth` of what that does is of no interest.
+    pub fn contradicted(&self, fit: &State<'_>, worth: f64) -> Result<Option<Suspicion>, Stopped> {
         let colour = self.coarse_colours();
         let [decoded, encoded] = [DISPLAY_GAMMA, 1.0 / DISPLAY_GAMMA].map(|g| powered(&colour, g));
         // Which lobe fits depends on what the numbers mean and on where the lights are.
@@ -139,7 +140,7 @@ impl Solver<'_> {
         };
         let mut best: Option<Suspicion> = None;
         let changes = self.changes(&models, [&decoded, &encoded]);
-        let most = HOPELESS * own.total();
+        let most = HOPELESS * worth * own.total();
         let trials = changes
             .par_iter()
             .map(|change| self.trial(change, fit.brdf.sigma, most));

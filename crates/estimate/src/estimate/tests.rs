@@ -549,7 +549,7 @@ fn a_bound_has_a_say_only_where_it_is_not_met() {
     observations.rows[2].is_bound = true;
     observations.rows[2].radiance = [0.5; 3];
     let grid = HemisphereGrid::new(4, Vec3::Z, None, Vec3::ZERO);
-    let design = design(&observations, &Pyramid::new(&grid, 4), &[]);
+    let design = bare_design(&observations, &Pyramid::new(&grid, 4), &[]);
     let brdf = Brdf::new(SpecularModel::Paper, 0.1);
     let weights = initial_weights(&design);
     assert_eq!(weights[2], 0.0, "nothing contradicts it yet");
@@ -636,7 +636,7 @@ fn a_stop_at_any_moment_is_heard_once() {
 }
 
 /// A reproducible sequence of numbers.
-struct Random(u64);
+pub struct Random(pub u64);
 
 impl Random {
     /// Uniform in (0, 1).
@@ -661,7 +661,7 @@ impl Random {
 }
 
 /// Points of a bumpy plane under six cameras; black so far.
-fn bare_observations(points: usize, random: &mut Random) -> Observations {
+pub fn bare_observations(points: usize, random: &mut Random) -> Observations {
     let cameras: Vec<Vec3> = (0..6)
         .map(|k| {
             let a = k as f32 * PI / 3.0;
@@ -701,7 +701,12 @@ fn bare_observations(points: usize, random: &mut Random) -> Observations {
     all
 }
 
-fn design<'a>(observations: &'a Observations, pyramid: &Pyramid, cells: &[Cell]) -> Design<'a> {
+/// Their design on some cells, without shadows.
+pub fn bare_design<'a>(
+    observations: &'a Observations,
+    pyramid: &Pyramid,
+    cells: &[Cell],
+) -> Design<'a> {
     Design {
         observations,
         geometry: pyramid.geometry(cells),
@@ -744,7 +749,7 @@ fn fit_with_noise(seed: u64, sigma: f32, noise: f32) -> (f32, f32) {
     let (pyramid, cells, lamps) = two_lamps(20);
     let mut observations = bare_observations(250, &mut random);
     let brdf = Brdf::new(SpecularModel::Paper, sigma);
-    let specular = design(&observations, &pyramid, &cells)
+    let specular = bare_design(&observations, &pyramid, &cells)
         .predict(&brdf, &lamps)
         .value;
     let Observations { points, rows, .. } = &mut observations;
@@ -761,7 +766,7 @@ fn fit_with_noise(seed: u64, sigma: f32, noise: f32) -> (f32, f32) {
         ..brdf
     };
     let observations = observations.to_gray();
-    let mut state = State::new(design(&observations, &pyramid, &cells), cells, start);
+    let mut state = State::new(bare_design(&observations, &pyramid, &cells), cells, start);
     state.solve_lights(EXACT);
     for _ in 0..8 {
         state.reweight();
@@ -799,7 +804,7 @@ fn rows_derivatives_by_sigma_agree_with_finite_differences() {
     let pyramid = Pyramid::new(&grid, 11);
     // Coarse cells, whose extent blurs the lobe.
     let cells = pyramid.roots();
-    let design = design(&observations, &pyramid, &cells);
+    let design = bare_design(&observations, &pyramid, &cells);
     let radiance = vec![[1.0; 3]; cells.len()];
     for model in SpecularModel::ALL {
         let at = |sigma: f32| design.predict(&Brdf::new(model, sigma), &radiance);

@@ -1,6 +1,7 @@
 //! Robust weights of rows and the noise level they imply.
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::design::{Design, Prediction};
 use super::observations::{Observations, Point, Row};
@@ -11,6 +12,9 @@ const HUBER: f32 = 1.345;
 
 /// How much of a row's local image detail counts as interpolation noise.
 pub const DETAIL_SHARE: f32 = 0.3;
+
+/// Points that are worth a thread.
+const POINTS_AT_ONCE: usize = 512;
 
 /// What a fit left over, row by row.
 #[derive(Clone, Debug, Default)]
@@ -89,6 +93,48 @@ pub fn dark_residuals(design: &Design<'_>, brdf: &Brdf, weights: &[f32]) -> Resi
     residuals(design, brdf, weights, &none)
 }
 
+/// What takes the best diffuse colour of each point out of any values of its rows; see [`transmitted_share`].
+pub struct Elimination<'o> {
+    points: &'o [Point],
+    shares: Vec<(f32, f32)>,
+}
+
+impl<'o> Elimination<'o> {
+    /// Under these weights, where `brdf` is the main lobe.
+    pub fn of(observations: &'o Observations, brdf: &Brdf, weights: &[f32]) -> Self {
+        let Observations { points, rows, .. } = observations;
+        let glosses = observations.glosses.iter();
+        let brdfs: Vec<Brdf> = glosses.map(|&gloss| brdf.at(gloss)).collect();
+        let mut shares = vec![(0.0, 0.0); rows.len()];
+        each_point(points, &mut shares, |point, shares| {
+            let own = point.rows.clone();
+            let brdf = &brdfs[point.gloss];
+            let of_point = transmitted_share(brdf, &rows[own.clone()], &weights[own]);
+            shares.copy_from_slice(&of_point);
+        });
+        Self { points, shares }
+    }
+
+    /// Takes it out of one RGB value per row.
+    pub fn apply(&self, values: &mut [[f32; 3]]) {
+        each_point(self.points, values, |point, values| {
+            take_out(&self.shares[point.rows.clone()], values);
+        });
+    }
+}
+
+/// Does something to the values of each point's rows, which follow on one another.
+fn each_point<T: Send>(points: &[Point], values: &mut [T], each: impl Fn(&Point, &mut [T]) + Sync) {
+    let mut rest = values;
+    let own = points.iter().map(|point| {
+        let own = rest.split_off_mut(..point.rows.len());
+        (point, own.unwrap_or_default())
+    });
+    let own: Vec<(&Point, &mut [T])> = own.collect();
+    let own = own.into_par_iter().with_min_len(POINTS_AT_ONCE);
+    own.for_each(|(point, values)| each(point, values));
+}
+
 /// Takes the best diffuse colour of each point out of one RGB value per row, where `brdf` is the main lobe.
 pub fn eliminate_all(
     observations: &Observations,
@@ -96,34 +142,37 @@ pub fn eliminate_all(
     weights: &[f32],
     values: &mut [[f32; 3]],
 ) {
-    for point in &observations.points {
-        let own = point.rows.clone();
-        let brdf = brdf.at(observations.glosses[point.gloss]);
-        let rows = &observations.rows[own.clone()];
-        eliminate(&brdf, rows, &weights[own.clone()], &mut values[own]);
-    }
+    Elimination::of(observations, brdf, weights).apply(values);
 }
 
 /// Of each of a point's rows, the part of it that goes into the point's diffuse colour, and the part of the diffuse colour
 /// that it shows.
 pub fn transmitted_share(brdf: &Brdf, rows: &[Row], weights: &[f32]) -> Vec<(f32, f32)> {
     let transmittance: Vec<f32> = rows.iter().map(|row| row.diffuse_share(brdf)).collect();
+    shares(&transmittance, weights)
+}
+
+/// The same of rows that show these parts of the diffuse colour.
+pub fn shares(transmittance: &[f32], weights: &[f32]) -> Vec<(f32, f32)> {
     let total: f32 = weights
         .iter()
-        .zip(&transmittance)
+        .zip(transmittance)
         .map(|(w, t)| w * t * t)
         .sum();
     let part = if total > 0.0 { total.recip() } else { 0.0 };
     weights
         .iter()
-        .zip(&transmittance)
+        .zip(transmittance)
         .map(|(w, t)| (w * t * part, *t))
         .collect()
 }
 
 /// Takes the best multiple of the diffuse transmittance out of one point's rows.
 pub fn eliminate(brdf: &Brdf, rows: &[Row], weights: &[f32], values: &mut [[f32; 3]]) {
-    let share = transmitted_share(brdf, rows, weights);
+    take_out(&transmitted_share(brdf, rows, weights), values);
+}
+
+fn take_out(share: &[(f32, f32)], values: &mut [[f32; 3]]) {
     let mut mean = [0.0_f32; 3];
     for ((into, _), v) in share.iter().zip(values.iter()) {
         for (m, v) in mean.iter_mut().zip(v) {

@@ -7,7 +7,7 @@ use glam::DVec2;
 use super::{central_difference, tilted};
 use crate::estimate::design::Design;
 use crate::estimate::observations::Point;
-use crate::estimate::weights::{eliminate_all, mean_weights, residuals};
+use crate::estimate::weights::{Elimination, mean_weights, residuals};
 use rekindle_base::math::sparse::LowerEntries;
 use rekindle_scene::reflectance::Brdf;
 use rekindle_scene::surface::Fairing;
@@ -133,8 +133,9 @@ impl LinearRows {
                 design.predict_values(brdf, radiance)
             })
         });
+        let elimination = Elimination::of(design.observations, brdf, &weights);
         for column in by_tilt.iter_mut().chain(&mut by_lamps) {
-            eliminate_all(design.observations, brdf, &weights, column);
+            elimination.apply(column);
         }
         Self {
             weights: weights.iter().map(|w| f64::from(*w) / variance).collect(),

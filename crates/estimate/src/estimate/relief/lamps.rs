@@ -3,7 +3,7 @@
 use faer::Col;
 use glam::Vec3;
 
-use super::central_difference;
+use super::TURN;
 use crate::estimate::SpecularChoice;
 use crate::estimate::cells::{Cell, CellGeometry};
 use crate::estimate::course::{Compared, asked_for, compared};
@@ -32,6 +32,9 @@ const LONGEST_TURN: f32 = 0.05;
 
 /// Unknowns of one lamp: two of its direction, three of its flux.
 const PER_LAMP: usize = 5;
+
+/// Directions of one lamp that its derivatives need.
+const ASIDE: usize = 5;
 
 /// Point lights with the lobe that shows them.
 #[derive(Clone, Debug)]
@@ -115,32 +118,34 @@ impl Lamps {
         directions.map(|&d| solver.pyramid.root_at(d)).collect()
     }
 
-    fn turned(&self, lamp: usize, by: Vec3) -> Self {
-        let mut turned = self.clone();
-        turned.directions[lamp] = (self.directions[lamp] + by).normalize_or_zero();
-        turned
-    }
-
     /// Derivatives of every row's specular radiance: by σ, then lamp by lamp by the direction along two tangents and by
     /// the three channels' flux.
     pub fn derivatives(&self, design: &Design<'_>) -> Vec<Vec<[f32; 3]>> {
+        // Each lamp where it is, and turned either way along each tangent.
+        let of_lamps = (0..self.directions.len()).flat_map(|lamp| [lamp; ASIDE]);
+        let mut beside = design.restricted(&of_lamps.collect::<Vec<_>>());
+        let turned = self.directions.iter().flat_map(|&lamp| {
+            let (t1, t2) = lamp.any_orthonormal_pair();
+            let turns = [Vec3::ZERO, TURN * t1, -TURN * t1, TURN * t2, -TURN * t2];
+            turns.map(|turn| (lamp + turn).normalize_or_zero())
+        });
+        beside.geometry.directions = turned.collect();
+        let shown = beside.matrix(&self.brdf);
+        let rows = || shown.chunks_exact(ASIDE * self.directions.len());
         let mut columns = vec![design.predict(&self.brdf, &self.flux).by_sigma];
-        for (lamp, direction) in self.directions.iter().enumerate() {
-            let (t1, t2) = direction.any_orthonormal_pair();
-            for tangent in [t1, t2] {
-                columns.push(central_difference(|by| {
-                    let geometry = self.turned(lamp, by * tangent).geometry();
-                    let turned = Design {
-                        geometry,
-                        ..design.clone()
-                    };
-                    turned.predict(&self.brdf, &self.flux).value
-                }));
+        for (lamp, flux) in self.flux.iter().enumerate() {
+            let first = ASIDE * lamp;
+            for at in [first + 1, first + 3] {
+                let slope = |row: &[f32]| (row[at] - row[at + 1]) / (2.0 * TURN);
+                columns.push(rows().map(|row| flux.map(|f| f * slope(row))).collect());
             }
             for channel in 0..3 {
-                let mut unit = vec![[0.0; 3]; self.flux.len()];
-                unit[lamp][channel] = 1.0;
-                columns.push(design.predict(&self.brdf, &unit).value);
+                let by_flux = |row: &[f32]| {
+                    let mut own = [0.0; 3];
+                    own[channel] = row[first];
+                    own
+                };
+                columns.push(rows().map(by_flux).collect());
             }
         }
         columns
@@ -189,4 +194,60 @@ pub fn design<'o>(
         solver.occluder,
     );
     design
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::cells::Pyramid;
+    use crate::estimate::tests::{Random, bare_design, bare_observations};
+    use rekindle_scene::hemisphere::HemisphereGrid;
+
+    #[test]
+    fn derivatives_agree_with_steps_of_the_unknowns() {
+        let observations = bare_observations(60, &mut Random(7));
+        let grid = HemisphereGrid::new(24, Vec3::Z, None, Vec3::ZERO);
+        let pyramid = Pyramid::new(&grid, 11);
+        let lamps = Lamps {
+            directions: [Vec3::new(0.3, 0.1, 0.9), Vec3::new(-0.3, -0.2, 0.9)]
+                .map(Vec3::normalize)
+                .to_vec(),
+            flux: vec![[6.0, 5.0, 4.0], [2.0, 2.5, 3.0]],
+            brdf: Brdf::new(SpecularModel::Beckmann, 0.15),
+        };
+        let design = |lamps: &Lamps| Design {
+            geometry: lamps.geometry(),
+            ..bare_design(&observations, &pyramid, &[])
+        };
+        let unknowns = 1 + PER_LAMP * lamps.directions.len();
+        let columns = lamps.derivatives(&design(&lamps));
+        assert_eq!(columns.len(), unknowns);
+        for (unknown, column) in columns.iter().enumerate() {
+            let shown = |step: f64| {
+                let mut stepped = lamps.clone();
+                stepped.take(&Col::from_fn(unknowns, |k| {
+                    if k == unknown { step } else { 0.0 }
+                }));
+                design(&stepped).predict_values(&stepped.brdf, &stepped.flux)
+            };
+            let (more, less) = (shown(2e-3), shown(-2e-3));
+            let largest = column
+                .as_flattened()
+                .iter()
+                .fold(0.0_f32, |m, v| m.max(v.abs()));
+            assert!(largest > 0.01, "{unknown} changes nothing");
+            let values = column.iter().zip(more.iter().zip(&less));
+            for (own, (more, less)) in values {
+                for c in 0..3 {
+                    let difference = (more[c] - less[c]) / 4e-3;
+                    let off = (own[c] - difference).abs();
+                    assert!(
+                        off < 1e-2 * largest,
+                        "{unknown}: {} for {difference}",
+                        own[c]
+                    );
+                }
+            }
+        }
+    }
 }
