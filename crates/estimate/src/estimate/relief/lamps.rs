@@ -210,7 +210,7 @@ mod tests {
         let pyramid = Pyramid::new(&grid, 11);
         let lamps = Lamps {
             directions: [Vec3::new(0.3, 0.1, 0.9), Vec3::new(-0.3, -0.2, 0.9)]
-                .map(Vec3::normalize)
+                .map(Vec3::normalize_or_zero)
                 .to_vec(),
             flux: vec![[6.0, 5.0, 4.0], [2.0, 2.5, 3.0]],
             brdf: Brdf::new(SpecularModel::Beckmann, 0.15),
