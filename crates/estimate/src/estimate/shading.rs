@@ -131,7 +131,9 @@ impl LightByShading {
         (self.grid, nodes)
     }
 
-    /// Whether other lights make neighbouring albedos differ by no more than this one does, but by chance.
+    /// Whether other lights make neighbouring albedos differ by no more than this one does, in most parts of the surface: what is fitted to
+    /// that on coarse cells does no better than the true lights. On path-traced captures these did better by 0.8 to 3.2 deviations, others
+    /// worse by 0.6 and 4.8.
     pub fn bears_out(
         &self,
         solver: &Solver<'_>,
@@ -162,7 +164,7 @@ impl LightByShading {
         let placed: Vec<_> = (places.zip(other).zip(own))
             .map(|((at, other), own)| (at, other, own))
             .collect();
-        placed_signed_ranks(&placed) <= SURE
+        placed_signed_ranks(&placed) <= 0.0
     }
 
     /// Directions of the cells that are lit.
