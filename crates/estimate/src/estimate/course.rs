@@ -15,6 +15,7 @@ use super::shading::LightByShading;
 use super::state::{ROUGH, State};
 use super::suspects::{Suspicion, left};
 use super::{diagnose, exposures, strengths};
+use glam::Vec3;
 use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
@@ -61,6 +62,15 @@ pub struct Ending {
     pub is_confirmed: bool,
 }
 
+impl Ending {
+    /// Whether there is light that is not near any of some directions.
+    fn has_light_away_from(&self, solver: &Solver<'_>, directions: &[Vec3]) -> bool {
+        let nodes = self.grid.directions.iter().zip(&self.fit.nodes);
+        let mut lit = nodes.filter(|(_, radiance)| radiance.iter().any(|&v| v > 0.0));
+        lit.any(|(&direction, _)| !solver.is_near(direction, directions))
+    }
+}
+
 /// How a course is run.
 #[derive(Clone, Copy)]
 pub struct Rules {
@@ -70,24 +80,33 @@ pub struct Rules {
     pub exposures: Option<bool>,
 }
 
-/// The default method from the first look to the end. Where no gloss shows under light from anywhere, or what is found is to be doubted, it is
-/// looked for under light from where the shading says: few lights can stand there for what is left out, so that faint gloss, or on few
-/// parts, is more than these explain. What is found so has to be sound, and to make the albedo no less even than the light by shading does.
+/// The default method from the first look to the end. Where no gloss shows under light from anywhere, or what is found is to be doubted and has
+/// light from elsewhere, it is looked for under light from where the shading says: few lights can stand there for what is left out, so that
+/// faint gloss, or on few parts, is more than these explain. What is found so has to be sound, and to make the albedo no less even than the
+/// light by shading does.
 pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
     let outcome = sought(solver, rules, watch)?;
     if !may_be_bettered(solver, &outcome) {
         return Ok(outcome);
     }
     go_on(watch.observer.progress("looking at the shading", 0.3))?;
-    let light = LightByShading::of(solver).map(Box::new);
-    let bettered = match &light {
-        Some(light) if !watch.observer.enough() => borne_out(solver, light, rules, watch)?,
-        _ => None,
+    let Some(light) = LightByShading::of(solver).map(Box::new) else {
+        return Ok(outcome);
     };
-    Ok(match (bettered, outcome) {
-        (Some(bettered), _) => bettered,
-        (None, Outcome::Nothing(reason, _)) => Outcome::Nothing(reason, light),
-        (None, outcome) => outcome,
+    let directions = light.directions();
+    let is_elsewhere = match &outcome {
+        Outcome::Found(ending) => ending.has_light_away_from(solver, &directions),
+        _ => true,
+    };
+    if is_elsewhere
+        && !watch.observer.enough()
+        && let Some(bettered) = borne_out(solver, (&light, &directions), rules, watch)?
+    {
+        return Ok(bettered);
+    }
+    Ok(match outcome {
+        Outcome::Nothing(reason, _) => Outcome::Nothing(reason, Some(light)),
+        outcome => outcome,
     })
 }
 
@@ -111,12 +130,11 @@ fn may_be_bettered(solver: &Solver<'_>, outcome: &Outcome) -> bool {
 /// What is found near the light by shading, if it is sound and that bears it out; or that exposures differ.
 fn borne_out(
     solver: &Solver<'_>,
-    light: &LightByShading,
+    (light, directions): (&LightByShading, &[Vec3]),
     rules: Rules,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Outcome>, Stopped> {
-    let directions = light.directions();
-    let outcome = sought(&solver.near_to(&directions), rules, watch)?;
+    let outcome = sought(&solver.near_to(directions), rules, watch)?;
     let is_sound = match &outcome {
         Outcome::Found(ending) => {
             diagnose::misfit(&ending.fit.misfit).is_none()

@@ -384,13 +384,17 @@ impl Solver<'_> {
         let Some(directions) = self.near_to else {
             return roots;
         };
-        let least = (NEAR_TO * self.pyramid.spacing(0)).cos();
         let own = self.pyramid.geometry(&roots).directions;
-        let is_near = |own: &Vec3| directions.iter().any(|other| other.dot(*own) >= least);
         let near = roots.into_iter().zip(own);
-        near.filter(|(_, own)| is_near(own))
+        near.filter(|(_, own)| self.is_near(*own, directions))
             .map(|(cell, _)| cell)
             .collect()
+    }
+
+    /// Whether a unit direction is so near one of others that light which is sought near these is sought there.
+    pub fn is_near(&self, direction: Vec3, others: &[Vec3]) -> bool {
+        let least = (NEAR_TO * self.pyramid.spacing(0)).cos();
+        others.iter().any(|other| other.dot(direction) >= least)
     }
 
     /// The coarsest cells, unlit.
