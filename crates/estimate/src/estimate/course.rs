@@ -86,7 +86,8 @@ pub struct Rules {
 /// light by shading does.
 pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
     let outcome = sought(solver, rules, watch)?;
-    if !may_be_bettered(solver, &outcome) {
+    let is_ended = watch.observer.enough() && matches!(outcome, Outcome::Found(_));
+    if is_ended || !may_be_bettered(solver, &outcome) {
         return Ok(outcome);
     }
     go_on(watch.observer.progress("looking at the shading", 0.3))?;
