@@ -4,7 +4,7 @@ use faer::linalg::solvers::Solve;
 use faer::{Col, Mat};
 use glam::DVec2;
 
-use super::{central_difference, tilted};
+use super::{TURN, tilted};
 use crate::estimate::design::Design;
 use crate::estimate::observations::Point;
 use crate::estimate::weights::{Elimination, mean_weights, residuals};
@@ -177,6 +177,17 @@ impl LinearRows {
         }
         own
     }
+}
+
+/// The derivative of rows by an angle, at zero.
+fn central_difference(rows: impl Fn(f32) -> Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    let mut difference = rows(TURN);
+    for (high, low) in difference.iter_mut().zip(rows(-TURN)) {
+        for (h, l) in high.iter_mut().zip(low) {
+            *h = (*h - l) / (2.0 * TURN);
+        }
+    }
+    difference
 }
 
 /// What one point's rows say: of its normal's tilt (xx, xy, yy), and of the tilt with each lamps' unknown.

@@ -180,17 +180,6 @@ pub fn median_tilt(before: &Seen<'_>, after: &Seen<'_>) -> f32 {
     median(&mut tilts)
 }
 
-/// The derivative of rows by an angle, at zero.
-fn central_difference(rows: impl Fn(f32) -> Vec<[f32; 3]>) -> Vec<[f32; 3]> {
-    let mut difference = rows(TURN);
-    for (high, low) in difference.iter_mut().zip(rows(-TURN)) {
-        for (h, l) in high.iter_mut().zip(low) {
-            *h = (*h - l) / (2.0 * TURN);
-        }
-    }
-    difference
-}
-
 /// The same points with every normal turned by `angle` towards the first or second tangent of its frame.
 pub fn tilted(observations: &Observations, second: bool, angle: f32) -> Observations {
     let mut tilted = observations.clone();
