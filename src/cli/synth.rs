@@ -313,7 +313,7 @@ fn sigma(text: &str) -> Result<f32, String> {
 }
 
 fn extent(text: &str) -> Result<f32, String> {
-    between(text, 0.01, 60.0)
+    between(text, 0.01, 90.0)
 }
 
 fn at_least_one(text: &str) -> Result<f32, String> {

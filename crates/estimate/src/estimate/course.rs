@@ -13,7 +13,7 @@ use super::observer::{Interim, Stopped, go_on};
 use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::shading::LightByShading;
 use super::state::{ROUGH, State};
-use super::suspects::{Suspicion, left};
+use super::suspects::{Suspicion, better_lobe, left};
 use super::{diagnose, exposures, strengths};
 use glam::Vec3;
 use rekindle_base::math::ranks::{SURE, signed_ranks};
@@ -30,6 +30,10 @@ const CLEARLY_LESS: f64 = 1.25;
 const STEP: f32 = 1.25;
 const SMOOTHEST: f32 = 0.02;
 pub const ROUGHEST: f32 = 0.5;
+
+/// Step of the factors of a roughness by which it may be another, and how many there are.
+const FINE_STEP: f32 = 1.1;
+const FINE_STEPS: i32 = 5;
 
 /// Steps of each lobe on cells that are split once.
 const ROUNDS: usize = 4;
@@ -56,6 +60,8 @@ pub struct Ending {
     pub suspicion: Option<Suspicion>,
     /// The roughest σ that does as well, radians, where any smoother one does too.
     pub bound: Option<f32>,
+    /// Factors of σ within which broad light allows others; 1 where it is not broad.
+    pub allowed: [f32; 2],
     /// The nodes of the lights.
     pub grid: HemisphereGrid,
     /// Whether the photographs say that there is gloss, and not only who stated its roughness.
@@ -302,8 +308,7 @@ fn with_parts<R>(
 ) -> Result<R, Stopped> {
     let shown = is_glossy(solver, &start.coarse);
     let parts = match patches(solver, &start.coarse, watch)? {
-        Patches::Clear(parts) => parts,
-        Patches::Faint(parts) if !shown => parts,
+        Patches::Likely(parts) => parts,
         Patches::Guess(parts) if !shown => return then(solver, start, Some(&parts), watch),
         _ => return then(solver, start, None, watch),
     };
@@ -479,10 +484,11 @@ fn end(
         let is_still = solver.seen.turning.is_none();
         let is_middling = is_still && !is_known && diagnose::is_middling(&fit.misfit);
         let is_looked_for = is_middling && !watch.observer.enough();
-        let suspicion = match causes {
+        let suspicion = match (contradicted_lobe(solver, start, watch)?, causes) {
+            (Some(lobe), _) => Some(lobe),
             _ if !is_looked_for => None,
-            Causes::All => solver.suspicion(&coarse.state)?,
-            Causes::Views => solver.odd_view(&coarse.state)?,
+            (None, Causes::All) => solver.suspicion(&coarse.state)?,
+            (None, Causes::Views) => solver.odd_view(&coarse.state)?,
         };
         (fit, suspicion)
     };
@@ -492,8 +498,29 @@ fn end(
         refined: None,
         suspicion,
         bound,
+        allowed: if diagnose::is_broad(&coarse.state) {
+            allowed_factors(&coarse.state)
+        } else {
+            [1.0; 2]
+        },
         grid: solver.grid.clone(),
         is_confirmed: true,
+    })
+}
+
+/// By how much smoother and rougher a coarse fit's lobe may be without leaving more than it does beyond chance: broad light makes good on
+/// coarse cells for what a lobe lacks, which a curvature about the best one doesn't show.
+fn allowed_factors(coarse: &State<'_>) -> [f32; 2] {
+    let own = left(coarse);
+    let leaves_more = |factor: f32| {
+        let other = coarse.lit_at(factor * coarse.brdf.sigma);
+        signed_ranks(&left(&other), &own) > SURE
+    };
+    [FINE_STEP.recip(), FINE_STEP].map(|step| {
+        let factors = (1..=FINE_STEPS).map(|k| step.powi(k));
+        let beyond = factors.take_while(|&factor| !leaves_more(factor));
+        // The next one is not allowed, but what lies between may be.
+        beyond.last().unwrap_or(1.0) * step
     })
 }
 
@@ -529,10 +556,8 @@ fn open_roughness(coarse: &State<'_>) -> (f32, f32) {
 enum Patches {
     /// There are none.
     None,
-    /// They explain clearly more.
-    Clear(GlossParts),
-    /// They explain a little more, as they also do where normals are off: not to be believed as long as that may be it.
-    Faint(GlossParts),
+    /// They explain views that had no say better, under the lights that they were told by: to be compared with one gloss under its own.
+    Likely(GlossParts),
     /// They explain more, but views that had no say not beyond chance: something to refine the surface with, and not to be believed.
     Guess(GlossParts),
 }
@@ -567,8 +592,7 @@ fn patches(
         Brdf::new(model, main.roughness * lights.brdf.sigma),
     );
     Ok(match parted.gloss_parts(&lights, [SURE, CHANCE]) {
-        Some((SURE, parts, _)) => Patches::Clear(parts),
-        Some((_, parts, _)) => Patches::Faint(parts),
+        Some((parts, _)) => Patches::Likely(parts),
         None => Patches::Guess(two),
     })
 }
@@ -596,21 +620,49 @@ fn resolved<'s>(
     if !is_narrow || choice != SpecularChoice::Auto || watch.observer.enough() {
         return Ok(None);
     }
-    let observations = solver.middle_observations(coarse).to_gray();
-    let split = solver.refine(coarse, &observations);
-    let mut tried = Vec::new();
-    for model in SpecularModel::ALL {
-        go_on(watch.observer.progress("comparing lobes", 0.3))?;
-        let mut state = split.clone();
-        state.brdf.model = model;
-        let state = improved(solver, state)?;
-        tried.push((state.unexplained(), state.brdf));
-    }
-    tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let tried = on_split_with_all(solver, coarse, watch, |states| {
+        let of = |state: &State<'_>| (state.unexplained(), state.brdf);
+        let mut tried: Vec<(f64, Brdf)> = states.iter().map(of).collect();
+        tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+        tried
+    })?;
     let because = diagnose::chosen([tried[0], tried[1]].map(|(left, brdf)| (left, brdf.model)));
     let mut state = coarse.clone();
     state.brdf = tried[0].1;
     Ok(Some((state, because)))
+}
+
+/// The lobe that explains more than the one asked for, if there is one.
+fn contradicted_lobe(
+    solver: &Solver<'_>,
+    coarse: &State<'_>,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Suspicion>, Stopped> {
+    if !solver.is_lobe_asked_for || watch.observer.enough() {
+        return Ok(None);
+    }
+    on_split_with_all(solver, coarse, watch, better_lobe)
+}
+
+/// Something asked of a coarse fit's lights where they are split once, with all lobes, its own first.
+fn on_split_with_all<R>(
+    solver: &Solver<'_>,
+    coarse: &State<'_>,
+    watch: &mut Watch<'_>,
+    then: impl FnOnce(&[State<'_>]) -> R,
+) -> Result<R, Stopped> {
+    let observations = solver.middle_observations(coarse).to_gray();
+    let split = solver.refine(coarse, &observations);
+    let mut models = SpecularModel::ALL;
+    models.sort_by_key(|&model| model != coarse.brdf.model);
+    let mut states = Vec::new();
+    for model in models {
+        go_on(watch.observer.progress("comparing lobes", 0.3))?;
+        let mut state = split.clone();
+        state.brdf.model = model;
+        states.push(improved(solver, state)?);
+    }
+    Ok(then(&states))
 }
 
 /// The coarse fit of the model asked for, or of the one that leaves least, with the reason in words.

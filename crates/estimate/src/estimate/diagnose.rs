@@ -26,14 +26,18 @@ pub fn parts(parts: &GlossParts, sigma: f32) -> String {
     format!("; the gloss differs: {} of the surface", named.join(", "))
 }
 
-/// Why one lobe was chosen before another, by what each leaves.
-pub fn chosen([(least, best), (more, other)]: [(f64, SpecularModel); 2]) -> String {
-    let named = |model: SpecularModel| match model {
+/// A specular model in words.
+fn named(model: SpecularModel) -> &'static str {
+    match model {
         SpecularModel::Paper => "constant Fresnel and masking",
         SpecularModel::Beckmann => "Beckmann's microfacets",
         SpecularModel::Ggx => "GGX",
         SpecularModel::Metal => "a metal",
-    };
+    }
+}
+
+/// Why one lobe was chosen before another, by what each leaves.
+pub fn chosen([(least, best), (more, other)]: [(f64, SpecularModel); 2]) -> String {
     format!(
         "{} leaves {:.0} % of the residual that {} leaves",
         named(best),
@@ -143,11 +147,16 @@ pub const OPEN: &str = "The lighting has no detail sharp enough to tell its own 
     window or sky: a smoother surface under wider lights explains the photographs as well. The middle of what they allow was taken. \
     State the roughness if you know it, or add a lamp.";
 
+/// Whether a coarse fit's light is broad.
+pub fn is_broad(coarse: &State<'_>) -> bool {
+    coarse.light_extent() > BROAD_LIGHT
+}
+
 /// Whether a coarse fit leaves open how smooth the surface is: no roughness stands out, or its lights are so broad, or its lobe,
 /// that a smoother surface does as well.
 pub fn is_open(coarse: &CoarseFit<'_>) -> bool {
     let broad = coarse.state.brdf.sigma > WIDEST_LOBE;
-    let open = || coarse.state.light_extent() > BROAD_LIGHT && !determines_roughness(&coarse.state);
+    let open = || is_broad(&coarse.state) && !determines_roughness(&coarse.state);
     broad || coarse.sharpness < LEAST_SHARPNESS || open()
 }
 
@@ -161,10 +170,13 @@ pub fn blames_normals(state: &State<'_>) -> bool {
     state.unexplained_share() > MOST_OF_GOOD_NORMALS && Misfit::of(state).tilt.explained > 0.0
 }
 
+/// With what begins what is said where the surface was refined.
+pub const OFF_NORMALS: &str = "The mesh's normals are off by more than the highlights allow";
+
 /// What is said where the surface was refined.
 pub fn refined(surface: &RefinedSurface) -> String {
     format!(
-        "The mesh's normals are off by more than the highlights allow: it is too coarse, or noisy as scans are. A smooth surface \
+        "{OFF_NORMALS}: it is too coarse, or noisy as scans are. A smooth surface \
          through it was refined by the highlights, which turned the normals by {:.1}° in the median; the solution holds this \
          surface. A mesh with the object's normals gives better results.",
         surface.median_tilt.to_degrees()
@@ -236,6 +248,13 @@ pub fn suspicion(suspicion: &Suspicion, stated: Option<f32>, views: &[View]) -> 
         Suspect::Decoded => (
             "The pictures' values are probably not linear: it is as if a display's curve had been taken off twice".to_owned(),
             "Save the pictures with linear values.".to_owned(),
+        ),
+        Suspect::Lobe(model) => (
+            format!(
+                "Another lobe than the one asked for explains the photographs better: {}",
+                named(model)
+            ),
+            "Ask for that one, or leave the choice to the program.".to_owned(),
         ),
         Suspect::View(odd) => (
             format!(

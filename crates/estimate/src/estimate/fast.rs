@@ -187,6 +187,8 @@ pub struct Solver<'a> {
     pub workspace: &'a Workspace,
     /// σ where it is stated, radians.
     pub sigma: Option<f32>,
+    /// Whether the lobe is one that was asked for, and not what explains most.
+    pub is_lobe_asked_for: bool,
     /// What a first estimate has found.
     pub first: Option<&'a Estimate>,
     /// Directions that light is sought near, where that is not everywhere.
@@ -269,6 +271,7 @@ impl<'a> Solver<'a> {
             shortcuts,
             workspace,
             sigma,
+            is_lobe_asked_for: false,
             first: input.first.map(|first| first.estimate),
             near_to: None,
             stop,
@@ -484,7 +487,7 @@ impl Solver<'_> {
             let before = self.seen.parts;
             before.is_some_and(|before| parts.difference(before) < SAME_GLOSS)
         };
-        let Some((_, parts, main)) = found.filter(|(_, parts, _)| !settled(parts)) else {
+        let Some((parts, main)) = found.filter(|(parts, _)| !settled(parts)) else {
             return self.finish(state, step, observations, watch);
         };
         let parted = self.parted(&parts);

@@ -193,17 +193,16 @@ struct Lit<'a> {
 impl Solver<'_> {
     /// The parts of the surface whose gloss differs under the lights of a state, if there are any, and the gloss of the part that
     /// is to be the main one, which the parts' are multiples of. A further gloss has to explain views that had no say in it better by more than
-    /// some standard deviations of chance: the first of `beyond` that finds any, which is told.
+    /// some standard deviations of chance: the first of `beyond` that finds any.
     pub fn gloss_parts(
         &self,
         state: &State<'_>,
         beyond: impl IntoIterator<Item = f64>,
-    ) -> Option<(f64, GlossParts, Gloss)> {
+    ) -> Option<(GlossParts, Gloss)> {
         self.on_board(state, |board, lit| {
             let of_chance = |chance: f64| {
                 let kinds = board.kinds_beyond(chance, self.stop);
-                let (parts, main) = board.parted(lit, &kinds)?;
-                Some((chance, parts, main))
+                board.parted(lit, &kinds)
             };
             beyond.into_iter().find_map(of_chance)
         })

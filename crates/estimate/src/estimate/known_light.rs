@@ -785,7 +785,7 @@ fn with_parts(
     } else {
         None
     };
-    let Some((_, parts, main)) = parts else {
+    let Some((parts, main)) = parts else {
         return Ok(Found {
             misfit: Misfit::of(&state),
             parts: solver.seen.parts.cloned(),

@@ -58,6 +58,7 @@ use rekindle_scene::surface::{GlossParts, Occluder, ViewSurface};
 use alternating::{Order, Terms};
 use cells::Pyramid;
 use course::{Ending, Outcome, Rules};
+pub use diagnose::OFF_NORMALS;
 pub use exposures::ByLights;
 use exposures::by_lights;
 use fast::{Fit, Solver, Watch};
@@ -509,15 +510,18 @@ fn run(
     let grid = input.grid;
     let pyramid = Pyramid::new(grid, fast::COARSEST);
     let workspace = Workspace::new();
-    let solver = Solver::new(
-        input,
-        params.sigma,
-        &pyramid,
-        (shortcuts, &workspace),
-        turning,
-        start.clock,
-        stop,
-    );
+    let solver = Solver {
+        is_lobe_asked_for: params.specular != SpecularChoice::Auto,
+        ..Solver::new(
+            input,
+            params.sigma,
+            &pyramid,
+            (shortcuts, &workspace),
+            turning,
+            start.clock,
+            stop,
+        )
+    };
     let mut result = Estimate {
         convergence: start.convergence,
         exposures: start.exposures.clone(),
@@ -631,6 +635,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         refined,
         suspicion,
         bound,
+        allowed,
         grid,
         is_confirmed,
     } = ending;
@@ -647,7 +652,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
     result.sigma_interval95 = match (solver.sigma, bound) {
         (Some(_), _) => None,
         (None, Some(roughest)) => Some([0.0, roughest]),
-        (None, None) => Some(interval(&fit, suspicion)),
+        (None, None) => Some(interval(&fit, allowed, suspicion)),
     };
     let open = bound.map(|_| diagnose::OPEN.to_owned());
     let unconfirmed = (!is_confirmed).then(|| diagnose::UNCONFIRMED.to_owned());
@@ -676,11 +681,14 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
     result.parts = fit.parts;
 }
 
-/// The 95 % interval of σ.
-fn interval(fit: &Fit, suspicion: Option<&Suspicion>) -> [f32; 2] {
+/// The 95 % interval of σ, of which some factors are as good as none.
+fn interval(fit: &Fit, allowed: [f32; 2], suspicion: Option<&Suspicion>) -> [f32; 2] {
     let sigma = fit.brdf.sigma;
     let half_width = HALF_INTERVAL * fit.sigma_error;
-    let mut interval = [sigma - half_width, sigma + half_width];
+    let mut interval = [
+        (sigma - half_width).min(allowed[0] * sigma),
+        (sigma + half_width).max(allowed[1] * sigma),
+    ];
     if let Some(suspicion) = suspicion {
         // Under the other assumption it would be another.
         let other = suspicion.sigma_ratio * sigma;

@@ -32,6 +32,8 @@ pub enum Suspect {
     Decoded,
     /// A view does not fit the others; its index.
     View(usize),
+    /// The surface has this lobe, and not the one asked for.
+    Lobe(SpecularModel),
 }
 
 /// An assumption with the fit that changing it gives.
@@ -69,6 +71,22 @@ struct Change<'a> {
     near: Option<(Vec3, f32)>,
     /// The lobes that may fit then; the first is tried at more roughnesses.
     models: &'a [SpecularModel],
+}
+
+/// The fit with another lobe than that of the first of some fits that explains the photographs better, beyond chance.
+pub fn better_lobe(fits: &[State<'_>]) -> Option<Suspicion> {
+    let (own, others) = fits.split_first()?;
+    let (sigma, own) = (own.brdf.sigma, Trial::of(own));
+    let other = |state: &State<'_>| (state.brdf.model, Trial::of(state));
+    let tried = others.iter().map(other);
+    let least = tried.min_by(|(_, a), (_, b)| a.total().total_cmp(&b.total()));
+    let (model, trial) = least?;
+    let is_better = trial.total() < own.total() && signed_ranks(&own.left, &trial.left) > SURE;
+    is_better.then(|| Suspicion {
+        suspect: Suspect::Lobe(model),
+        leaves: trial.total() / own.total(),
+        sigma_ratio: trial.sigma / sigma,
+    })
 }
 
 /// A fit on the coarsest cells: what it leaves of the differences between views, one value a point, and its roughness.

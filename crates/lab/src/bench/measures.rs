@@ -1,8 +1,6 @@
 //! How far an estimate is from the truth. Lights are known up to one common factor, K_S: fluxes and hemispheres are
 //! compared after the estimate is scaled to the truth's.
 
-use std::collections::BTreeSet;
-
 use glam::Vec3;
 
 use super::truth::{TrueLamp, Truth};
@@ -15,6 +13,8 @@ const BLUR: f32 = 0.05;
 const COMPARED: u32 = 20;
 /// Blurs beyond which a lamp adds nothing.
 const BLURS: f32 = 5.0;
+/// Discs as far apart as their radii together touch, but for rounding.
+const TOUCHING: f32 = 1.001;
 /// Points that stand for a lamp's disc.
 const DISC: usize = 64;
 
@@ -41,12 +41,14 @@ impl From<&SolutionLamp> for FoundLamp {
 pub struct Errors {
     /// σ over the true σ, less 1.
     pub sigma: Option<f64>,
-    /// Largest angle between a lamp and the nearest one found, degrees.
+    /// Largest angle between a lamp and what was found of it, degrees. Lamps whose discs touch are one.
     pub direction_deg: Option<f64>,
     /// Largest relative error of a lamp's flux.
     pub flux: Option<f64>,
     /// Part of the flux found that is in lights that are no true lamp's.
     pub outside: Option<f64>,
+    /// Part of the true flux that is in lamps of which nothing was found.
+    pub missing: Option<f64>,
     /// Relative error of the blurred hemisphere; see [`hemisphere_error`].
     pub hemisphere: Option<f64>,
 }
@@ -54,6 +56,8 @@ pub struct Errors {
 /// The truth, prepared for comparing many estimates with it.
 pub struct Measures<'a> {
     truth: &'a Truth,
+    /// Its lamps, those that touch as one.
+    lamps: Vec<TrueLamp>,
     compared: HemisphereGrid,
     blurred: Vec<f64>,
 }
@@ -66,6 +70,7 @@ impl<'a> Measures<'a> {
         let blurred = blur(&compared, &sources);
         Self {
             truth,
+            lamps: joined(&truth.lamps),
             compared,
             blurred,
         }
@@ -91,7 +96,7 @@ impl<'a> Measures<'a> {
         grid: &HemisphereGrid,
         radiance: &[[f32; 3]],
     ) -> Errors {
-        let lamps = lamp_errors(&self.truth.lamps, found);
+        let lamps = matched(&self.lamps, found);
         let worst = |values: &[f64]| values.iter().map(|v| v.abs()).fold(0.0, f64::max);
         let sources: Vec<(Vec3, f64)> = grid
             .directions
@@ -104,51 +109,130 @@ impl<'a> Measures<'a> {
             sigma: sigma
                 .zip(self.truth.sigma)
                 .map(|(found, truth)| f64::from(found) / f64::from(truth) - 1.0),
-            direction_deg: lamps.as_ref().map(|(angles, _)| worst(angles)),
-            flux: lamps.as_ref().map(|(_, fluxes)| worst(fluxes)),
-            outside: outside(&self.truth.lamps, found),
+            direction_deg: lamps.as_ref().map(|lamps| worst(&lamps.angles)),
+            flux: lamps.as_ref().map(|lamps| worst(&lamps.fluxes)),
+            outside: lamps.as_ref().map(|lamps| lamps.outside),
+            missing: lamps.as_ref().map(|lamps| lamps.missing),
             hemisphere: hemisphere_error(&self.blurred, &blur(&self.compared, &sources)),
         }
     }
 }
 
-/// For every true lamp the angle to the nearest one found, degrees, and the relative error of that one's flux after the
-/// fluxes found are scaled to the true sum. `None` without lamps on either side.
-pub fn lamp_errors(truth: &[TrueLamp], found: &[FoundLamp]) -> Option<(Vec<f64>, Vec<f64>)> {
-    if truth.is_empty() || found.is_empty() {
-        return None;
-    }
-    let nearest = nearest(truth, found).map(|i| &found[i]);
-    let nearest: Vec<&FoundLamp> = nearest.collect();
-    let total: f64 = truth.iter().map(|lamp| sum(lamp.flux)).sum();
-    let total_found: f64 = nearest.iter().map(|lamp| sum(lamp.flux)).sum();
-    let scale = total / total_found.max(f64::MIN_POSITIVE);
-    Some(
-        truth
-            .iter()
-            .zip(nearest)
-            .map(|(lamp, found)| {
-                let flux = scale * sum(found.flux) / sum(lamp.flux) - 1.0;
-                (angle(found.direction, lamp.direction), flux)
-            })
-            .unzip(),
-    )
+/// What of an estimate's lamps is which true lamp's.
+struct Matched {
+    /// Angles between true lamps and what was found of them, degrees.
+    angles: Vec<f64>,
+    /// Relative errors of their fluxes, after those found are scaled to the true sum.
+    fluxes: Vec<f64>,
+    /// Part of the flux found that is no true lamp's.
+    outside: f64,
+    /// Part of the true flux of which nothing was found.
+    missing: f64,
 }
 
-/// For every true lamp the place of the nearest one found.
-fn nearest(truth: &[TrueLamp], found: &[FoundLamp]) -> impl Iterator<Item = usize> {
-    truth.iter().filter_map(|lamp| {
-        let away = |i: &usize| angle(found[*i].direction, lamp.direction);
-        (0..found.len()).min_by(|a, b| away(a).total_cmp(&away(b)))
+/// Compares lamps: `None` without any on either side. A lamp found is of the nearest true one: all that lie in its disc, or else the nearest to
+/// it.
+fn matched(truth: &[TrueLamp], found: &[FoundLamp]) -> Option<Matched> {
+    let of: Vec<usize> = found
+        .iter()
+        .filter_map(|lamp| nearest(truth, lamp))
+        .collect();
+    let own = |k: usize| -> Option<FoundLamp> {
+        let lamp = &truth[k];
+        let own = found.iter().zip(&of).filter(|(_, of)| **of == k);
+        let own: Vec<&FoundLamp> = own.map(|(found, _)| found).collect();
+        let away = |found: &FoundLamp| angle(found.direction, lamp.direction);
+        let radius = f64::from(lamp.angular_radius).to_degrees();
+        let inside: Vec<&FoundLamp> = own.iter().copied().filter(|f| away(f) <= radius).collect();
+        if inside.is_empty() {
+            own.into_iter()
+                .min_by(|a, b| away(a).total_cmp(&away(b)))
+                .copied()
+        } else {
+            Some(together(
+                inside.iter().map(|found| (found.direction, found.flux)),
+            ))
+        }
+    };
+    let pairs = (0..truth.len()).filter_map(|k| Some((&truth[k], own(k)?)));
+    let pairs: Vec<(&TrueLamp, FoundLamp)> = pairs.collect();
+    let total = |fluxes: &mut dyn Iterator<Item = Vec3>| fluxes.map(sum).sum::<f64>();
+    let seen = total(&mut pairs.iter().map(|(lamp, _)| lamp.flux));
+    let all = total(&mut truth.iter().map(|lamp| lamp.flux));
+    let taken = total(&mut pairs.iter().map(|(_, found)| found.flux));
+    let all_found = total(&mut found.iter().map(|lamp| lamp.flux));
+    let scale = seen / taken.max(f64::MIN_POSITIVE);
+    let error = |(lamp, found): &(&TrueLamp, FoundLamp)| {
+        let flux = scale * sum(found.flux) / sum(lamp.flux) - 1.0;
+        (angle(found.direction, lamp.direction), flux)
+    };
+    let (angles, fluxes) = pairs.iter().map(error).unzip();
+    (!pairs.is_empty() && all_found > 0.0).then(|| Matched {
+        angles,
+        fluxes,
+        outside: 1.0 - taken / all_found,
+        missing: 1.0 - seen / all,
     })
 }
 
-/// Part of the flux found that is in lights that are nearest to no true one.
-fn outside(truth: &[TrueLamp], found: &[FoundLamp]) -> Option<f64> {
-    let own: BTreeSet<usize> = nearest(truth, found).collect();
-    let all: f64 = found.iter().map(|lamp| sum(lamp.flux)).sum();
-    let inside: f64 = own.iter().map(|&i| sum(found[i].flux)).sum();
-    (!own.is_empty() && all > 0.0).then(|| 1.0 - inside / all)
+/// The place of the true lamp whose disc, or else whose centre, is nearest to one found.
+fn nearest(truth: &[TrueLamp], found: &FoundLamp) -> Option<usize> {
+    let away = |k: &usize| {
+        let off = angle(found.direction, truth[*k].direction);
+        let radius = f64::from(truth[*k].angular_radius).to_degrees();
+        ((off - radius).max(0.0), off)
+    };
+    (0..truth.len()).min_by(|a, b| {
+        let ((beyond, off), (other_beyond, other_off)) = (away(a), away(b));
+        beyond
+            .total_cmp(&other_beyond)
+            .then(off.total_cmp(&other_off))
+    })
+}
+
+/// Lights as one: where their flux is, and how much.
+fn together(lights: impl Iterator<Item = (Vec3, Vec3)>) -> FoundLamp {
+    let (mut about, mut flux) = (Vec3::ZERO, Vec3::ZERO);
+    for (direction, own) in lights {
+        about += own.element_sum() * direction;
+        flux += own;
+    }
+    FoundLamp {
+        direction: about.normalize_or_zero(),
+        flux,
+    }
+}
+
+/// The same lamps, those whose discs touch as one: nothing tells where one ends and the other begins.
+fn joined(lamps: &[TrueLamp]) -> Vec<TrueLamp> {
+    let mut groups: Vec<Vec<TrueLamp>> = Vec::new();
+    for &lamp in lamps {
+        let touches = |other: &TrueLamp| {
+            let reach = lamp.angular_radius + other.angular_radius;
+            lamp.direction.angle_between(other.direction) <= TOUCHING * reach
+        };
+        let (touched, mut apart): (Vec<_>, Vec<_>) = groups
+            .into_iter()
+            .partition(|group| group.iter().any(touches));
+        let mut group = touched.concat();
+        group.push(lamp);
+        apart.push(group);
+        groups = apart;
+    }
+    let one = |group: Vec<TrueLamp>| {
+        let FoundLamp { direction, flux } = together(group.iter().map(|l| (l.direction, l.flux)));
+        let reach = |lamp: &TrueLamp| direction.angle_between(lamp.direction) + lamp.angular_radius;
+        let angular_radius = group.iter().map(reach).fold(0.0, f32::max);
+        match group[..] {
+            [alone] => alone,
+            _ => TrueLamp {
+                direction,
+                flux,
+                angular_radius,
+            },
+        }
+    };
+    groups.into_iter().map(one).collect()
 }
 
 fn angle(a: Vec3, b: Vec3) -> f64 {
@@ -237,14 +321,20 @@ mod tests {
                 flux: Vec3::splat(9.0),
             },
         ];
-        let (angles, fluxes) = lamp_errors(&truth, &found).expect("lamps on both sides");
+        let Matched {
+            angles,
+            fluxes,
+            outside,
+            missing,
+        } = matched(&truth, &found).expect("lamps on both sides");
         assert!(angles[0].abs() < 1e-4);
         assert!(
             (angles[1] - 0.01_f64.atan().to_degrees()).abs() < 1e-4,
             "{angles:?}"
         );
         assert!(fluxes.iter().all(|f| f.abs() < 1e-6), "{fluxes:?}");
-        assert!(lamp_errors(&truth, &[]).is_none());
+        assert!((outside - 9.0 / 17.0).abs() < 1e-6 && missing == 0.0);
+        assert!(matched(&truth, &[]).is_none());
         // One lamp 10 % too strong: 1.1 + 3 shared out as 1 + 3.
         let stronger = [found[1], found[0]].map(|mut f| {
             if f.direction == Vec3::X {
@@ -252,11 +342,75 @@ mod tests {
             }
             f
         });
-        let (_, fluxes) = lamp_errors(&truth, &stronger).expect("lamps on both sides");
+        let fluxes = matched(&truth, &stronger)
+            .expect("lamps on both sides")
+            .fluxes;
         assert!(
             (fluxes[0] - (1.1 * 4.0 / 4.1 - 1.0)).abs() < 1e-6,
             "{fluxes:?}"
         );
+    }
+
+    #[test]
+    fn a_lamp_of_which_nothing_was_found_is_missing_and_not_elsewhere() {
+        let truth = [lamp(Vec3::X, 99.0), lamp(Vec3::Y, 1.0)];
+        let found = [FoundLamp {
+            direction: Vec3::X,
+            flux: Vec3::splat(2.0),
+        }];
+        let Matched {
+            angles,
+            fluxes,
+            outside,
+            missing,
+        } = matched(&truth, &found).expect("lamps on both sides");
+        assert_eq!((angles.len(), fluxes.len(), outside), (1, 1, 0.0));
+        assert!(angles[0] < 1e-4 && fluxes[0].abs() < 1e-6 && (missing - 0.01).abs() < 1e-6);
+    }
+
+    #[test]
+    fn pieces_of_a_wide_lamp_are_that_lamp() {
+        let wide = TrueLamp {
+            angular_radius: 0.5,
+            ..lamp(Vec3::X, 4.0)
+        };
+        let piece = |y: f32, flux: f32| FoundLamp {
+            direction: Vec3::new(1.0, y, 0.0).normalize_or_zero(),
+            flux: Vec3::splat(flux),
+        };
+        let of = |found: &[FoundLamp]| matched(&[wide], found).expect("lamps on both sides");
+        let both = of(&[piece(0.3, 1.0), piece(-0.3, 1.0)]);
+        assert!(
+            both.angles[0] < 1e-3 && both.outside == 0.0,
+            "{:?}",
+            both.angles
+        );
+        let astray = of(&[piece(0.3, 1.0), piece(-0.3, 1.0), piece(2.0, 1.0)]);
+        assert!((astray.outside - 1.0 / 3.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn lamps_that_touch_are_one() {
+        let at = |degrees: f32| {
+            lamp(
+                Vec3::new(degrees.to_radians().cos(), degrees.to_radians().sin(), 0.0),
+                1.0,
+            )
+        };
+        let of = |apart: f32| {
+            let mut lamps = [at(0.0), at(apart), at(90.0)];
+            for lamp in &mut lamps {
+                lamp.angular_radius = 3.0_f32.to_radians();
+            }
+            joined(&lamps)
+        };
+        assert_eq!((of(6.0).len(), of(7.0).len()), (2, 3));
+        let one = of(6.0)
+            .into_iter()
+            .find(|lamp| lamp.flux.x == 2.0)
+            .expect("one of both");
+        assert!((angle(one.direction, at(3.0).direction)) < 1e-3);
+        assert!((one.angular_radius.to_degrees() - 6.0).abs() < 1e-3);
     }
 
     #[test]

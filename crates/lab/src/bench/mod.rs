@@ -20,7 +20,7 @@ pub(crate) use chart::number;
 pub use chart::{Axis, Curve, Dot, Panel, draw};
 pub use error::BenchError;
 pub use leave_one_out::{Predicted, PredictionError, leave_one_out, table};
-pub use measures::{Errors, FoundLamp, Measures, hemisphere_error, lamp_errors};
+pub use measures::{Errors, FoundLamp, Measures, hemisphere_error};
 pub use record::{Run, Step};
 pub use report::Report;
 pub(crate) use table::{cell, field, mebibytes, percent, with_unit};

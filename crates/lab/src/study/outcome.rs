@@ -11,6 +11,9 @@ const FINE_DIRECTION: f64 = 0.3;
 const WITHIN: &str = "σ (within its interval)";
 const BEYOND: &str = "σ (beyond its interval)";
 
+/// What is said with what is wrong where the program blames the mesh.
+const MESH: &str = "; the mesh is said to be off";
+
 /// What came of a case.
 #[derive(Clone, Debug)]
 pub(super) enum Outcome {
@@ -37,6 +40,8 @@ pub(super) struct Found {
     pub fit_db: f64,
     /// What the program says against its own result.
     pub doubt: Option<String>,
+    /// Whether it says that the mesh's normals are off, so that a better mesh gives better results.
+    pub blames_mesh: bool,
     /// What it took.
     pub cost: Cost,
 }
@@ -128,13 +133,16 @@ impl Found {
         if worse(self.errors.outside, FINE_FLUX) {
             wrong.push("false lights".to_owned());
         }
+        if worse(self.errors.missing, FINE_FLUX) {
+            wrong.push("missing lights".to_owned());
+        }
         wrong
     }
 
-    /// Whether something is wrong that neither the interval of σ nor a doubt says.
+    /// Whether something is wrong that neither the interval of σ nor a doubt says, nor that the mesh is to blame.
     fn is_silently_wrong(&self) -> bool {
         let known = |what: &String| what == WITHIN;
-        self.doubt.is_none() && !self.wrong().iter().all(known)
+        self.doubt.is_none() && !self.blames_mesh && !self.wrong().iter().all(known)
     }
 
     fn verdict(&self) -> Verdict {
@@ -142,6 +150,7 @@ impl Found {
         match &self.doubt {
             Some(doubt) => Verdict::Doubted(doubt.clone()),
             None if wrong.is_empty() => Verdict::Fine,
+            None if self.blames_mesh => Verdict::Degrades(wrong.join(", ") + MESH),
             None => Verdict::Degrades(wrong.join(", ")),
         }
     }
@@ -184,11 +193,13 @@ mod tests {
                 direction_deg: Some(0.1),
                 flux: Some(0.01),
                 outside: Some(0.0),
+                missing: Some(0.0),
                 hemisphere: None,
             },
             lamps: [1, 1],
             fit_db: 40.0,
             doubt: None,
+            blames_mesh: false,
             cost: Cost::default(),
         }
     }
@@ -204,7 +215,13 @@ mod tests {
         let mut stray = found(0.0, 0.01);
         stray.errors.outside = Some(0.1);
         assert!(stray.is_silently_wrong());
-        assert_eq!(words(stray), "false lights");
+        assert_eq!(words(stray.clone()), "false lights");
+        stray.blames_mesh = true;
+        assert!(!stray.is_silently_wrong());
+        assert_eq!(words(stray), "false lights; the mesh is said to be off");
+        let mut short = found(0.0, 0.01);
+        short.errors.missing = Some(0.1);
+        assert_eq!(words(short), "missing lights");
         let mut doubted = found(0.05, 0.01);
         doubted.doubt = Some("Why.".to_owned());
         doubted.errors.direction_deg = Some(2.0);

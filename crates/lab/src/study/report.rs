@@ -21,12 +21,14 @@ result here is necessary, not sufficient. `--only SECTION` renews one section an
 ";
 
 const STABILITY: &str = "One thing at a time is made worse. Unless it is swept: a figurine of 30,000 triangles with the paper's lobe of \
-σ 0.075, three lamps of 3° radius and contrast 3, six views of SIZE over 150°, no noise. Errors are those of the worst lamp; \
-fluxes are compared up to one factor. *Fine* is σ within 1 %, directions within 0.3°, fluxes within 3 % and less than 3 % of the \
-flux in lights that are not there; *degrades* says what is beyond that, and whether the stated 95 % interval of σ still holds the \
+σ 0.075, three lamps of 3° radius and contrast 3, six views of SIZE over 150°, no noise. Errors are those of the worst lamp of \
+which something was found; lamps whose discs touch are one, what was found in a disc is that lamp's, and \
+fluxes are compared up to one factor. *Fine* is σ within 1 %, directions within 0.3°, fluxes within 3 %, less than 3 % of the \
+flux in lights that are not there, and less than 3 % of the true flux in lamps of which nothing was found; *degrades* says what is beyond that, and whether the stated 95 % interval of σ still holds the \
 truth; *doubted* means that the program itself says \
 that the result is not to be trusted, *refused* that it gives none, and why. *Wrong and not said* is a \
-result beyond what is fine that is not doubted, unless only σ is wrong and its interval holds the truth. In the plots values without a result are in brackets.
+result beyond what is fine that is neither doubted nor comes with the warning that the mesh's normals are off, unless only σ is wrong \
+and its interval holds the truth. In the plots values without a result are in brackets.
 ";
 
 const SCALING: &str = "What a solve costs, in seconds, by the program's own clock, with reading and writing. Unless it is swept: the capture of \
@@ -94,7 +96,7 @@ fn heading(section: Section) -> &'static str {
 fn csv(studied: &[Studied]) -> String {
     let mut text = String::from(
         "group,value,verdict,wrong_and_not_said,words,sigma,sigma_error_pct,interval_low_pct,interval_high_pct,direction_error_deg,\
-         flux_error_pct,flux_outside_pct,hemisphere_error_pct,lamps_found,lamps,fit_db,total_s,floor_s,peak_mib",
+         flux_error_pct,flux_outside_pct,flux_missing_pct,hemisphere_error_pct,lamps_found,lamps,fit_db,total_s,floor_s,peak_mib",
     );
     for stage in STAGES {
         let _ = write!(text, ",{stage}_s");
@@ -131,6 +133,7 @@ fn numbers(found: Option<&Found>) -> String {
         of(&|f| f.errors.direction_deg, 4),
         of(&|f| percent(f.errors.flux), 4),
         of(&|f| percent(f.errors.outside), 4),
+        of(&|f| percent(f.errors.missing), 4),
         of(&|f| percent(f.errors.hemisphere), 4),
         of(&|f| Some(f.lamps[0] as f64), 0),
         of(&|f| Some(f.lamps[1] as f64), 0),
@@ -362,11 +365,13 @@ mod tests {
                 direction_deg: Some(error),
                 flux: Some(error),
                 outside: Some(error),
+                missing: Some(0.0),
                 hemisphere: Some(error),
             },
             lamps: [1, 1],
             fit_db: 40.0,
             doubt: None,
+            blames_mesh: false,
             cost: Cost {
                 stages: vec![Some(1.0); STAGES.len()],
                 total: 8.0,

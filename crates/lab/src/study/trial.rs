@@ -18,6 +18,7 @@ use crate::bench::{FoundLamp, Measures, Truth};
 use crate::synth::{Recipe, SynthError, make};
 use rekindle_base::math::median;
 use rekindle_capture::{read_cameras, read_covered};
+use rekindle_estimate::estimate::OFF_NORMALS;
 use rekindle_solution::Solution;
 
 /// The program's option for its number of threads.
@@ -142,7 +143,9 @@ impl Workshop<'_> {
 /// Compares a solution with the truth; `summary` is what the program said of it.
 fn judge(capture: &Path, solution: &Path, summary: &Value) -> Result<Outcome, StudyError> {
     let solution = Solution::load(solution)?;
-    let last = solution.diagnostics.warnings.last().cloned();
+    let warnings = &solution.diagnostics.warnings;
+    let blames_mesh = warnings.iter().any(|said| said.starts_with(OFF_NORMALS));
+    let last = warnings.last().cloned();
     let last = last.unwrap_or_else(|| "It gives no reason.".to_owned());
     let Some(brdf) = solution.brdf else {
         return Ok(Outcome::Refused(last));
@@ -164,6 +167,7 @@ fn judge(capture: &Path, solution: &Path, summary: &Value) -> Result<Outcome, St
         lamps: [lamps.len(), truth.lamps.len()],
         fit_db,
         doubt: (!solution.diagnostics.well_posed).then_some(last),
+        blames_mesh,
         cost: cost(summary),
     })))
 }
