@@ -70,7 +70,7 @@ pub struct Ending {
 
 impl Ending {
     /// Whether there is light that is not near any of some directions.
-    fn has_light_away_from(&self, solver: &Solver<'_>, directions: &[Vec3]) -> bool {
+    pub fn has_light_away_from(&self, solver: &Solver<'_>, directions: &[Vec3]) -> bool {
         let nodes = self.grid.directions.iter().zip(&self.fit.nodes);
         let mut lit = nodes.filter(|(_, radiance)| radiance.iter().any(|&v| v > 0.0));
         lit.any(|(&direction, _)| !solver.is_near(direction, directions))
@@ -135,7 +135,7 @@ fn may_be_bettered(solver: &Solver<'_>, outcome: &Outcome) -> bool {
 }
 
 /// What is found near the light by shading, if it is sound and that bears it out; or that exposures differ.
-fn borne_out(
+pub fn borne_out(
     solver: &Solver<'_>,
     (light, directions): (&LightByShading, &[Vec3]),
     rules: Rules,

@@ -440,6 +440,36 @@ fn light_is_sought_near_where_it_is_known_to_come_from_and_nowhere_else() {
 }
 
 #[test]
+fn what_is_found_near_light_by_shading_is_taken_only_if_it_is_sound() {
+    let (capture, _) = half_dull();
+    with_solver(&capture, |solver| {
+        let rules = Rules {
+            choice: SpecularChoice::Auto,
+            exposures: None,
+        };
+        let light = LightByShading::of(solver).expect("two lamps shade");
+        let sought_near = |directions: &[Vec3]| {
+            let mut watch = Watch {
+                iterations: &mut Vec::new(),
+                observer: &mut Unobserved,
+            };
+            course::borne_out(solver, (&light, directions), rules, &mut watch).unwrap()
+        };
+        let Some(Outcome::Found(ending)) = sought_near(&light.directions()) else {
+            panic!("the lamps are where they shade");
+        };
+        assert!(!ending.has_light_away_from(solver, &LAMPS));
+        assert!(ending.has_light_away_from(solver, &LAMPS[..1]));
+        let turn = glam::Quat::from_rotation_y(std::f32::consts::FRAC_PI_2);
+        let elsewhere = LAMPS.map(|lamp| turn * lamp);
+        assert!(
+            sought_near(&elsewhere).is_none(),
+            "lamps where there are none"
+        );
+    });
+}
+
+#[test]
 fn light_from_below_the_horizon_is_found_and_not_sought_without_need() {
     let mut capture = load();
     let usual = fast(&capture);

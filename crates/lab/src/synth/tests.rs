@@ -13,7 +13,8 @@ use super::*;
 use crate::bench::{FoundLamp, Measures, Truth};
 use rekindle_capture::{Capture, Mesh, Origin, View, read_cameras, read_covered};
 use rekindle_estimate::estimate::{
-    EstimateInput, EstimateParams, Unobserved, bears_out, estimate, gains_by_lights, left_of_others,
+    EstimateInput, EstimateParams, SpecularChoice, Unobserved, bears_out, estimate,
+    gains_by_lights, left_of_others,
 };
 use rekindle_estimate::preflight::{self, Severity};
 use rekindle_estimate::registration::evened;
@@ -409,8 +410,12 @@ fn solved(folder: &TempDir) -> Solution {
 
 /// On a hemisphere of some frequency.
 fn solved_on(capture: &Capture, frequency: u32) -> Solution {
+    solved_with(capture, EstimateParams::default(), frequency)
+}
+
+fn solved_with(capture: &Capture, estimate: EstimateParams, frequency: u32) -> Solution {
     let options = SolveOptions {
-        estimate: EstimateParams::default(),
+        estimate,
         frequency,
         radius: None,
         light_frame: None,
@@ -493,6 +498,40 @@ fn two_lamps_and_some_noise_are_no_other_specular_model() {
     let brdf = solved(&folder).brdf.expect("a specular part");
     assert_eq!(brdf.model, SpecularModel::Paper);
     assert!((brdf.sigma / 0.075 - 1.0).abs() < 0.02, "{brdf:?}");
+}
+
+#[test]
+fn a_lobe_that_was_asked_for_is_doubted_where_another_explains_more() {
+    let folder = made(|recipe| {
+        *recipe = Recipe::default();
+        recipe.truth_pictures = false;
+        recipe.views.size = [240, 180];
+        recipe.sensor.noise = 0.005;
+        recipe.material = Material::dielectric(SpecularModel::Ggx, 0.1, 1.5);
+        lamps(recipe).places = Places::Row(2, 40_f32.to_radians());
+    });
+    let capture = load(&folder);
+    let said = |model| {
+        let estimate = EstimateParams {
+            specular: SpecularChoice::Model(model),
+            ..EstimateParams::default()
+        };
+        let found = solved_with(&capture, estimate, FREQUENCY);
+        (found.diagnostics.well_posed, found.diagnostics.warnings)
+    };
+    for other in [SpecularModel::Paper, SpecularModel::Metal] {
+        let (well_posed, warnings) = said(other);
+        let is_named = |said: &String| said.starts_with("Another lobe") && said.contains("GGX");
+        assert!(
+            !well_posed && warnings.iter().any(is_named),
+            "{other:?}: {warnings:?}"
+        );
+    }
+    let (_, warnings) = said(SpecularModel::Ggx);
+    assert!(
+        !warnings.iter().any(|said| said.contains("lobe")),
+        "{warnings:?}"
+    );
 }
 
 /// The lamps found on a ball under one or two lamps of the given radius, degrees.
