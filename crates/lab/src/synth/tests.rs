@@ -534,6 +534,24 @@ fn a_lobe_that_was_asked_for_is_doubted_where_another_explains_more() {
     );
 }
 
+#[test]
+fn under_broad_light_the_interval_holds_the_roughness() {
+    let folder = made(|recipe| {
+        *recipe = Recipe::default();
+        recipe.truth_pictures = false;
+        recipe.views.size = [320, 240];
+        let lamps = lamps(recipe);
+        lamps.places = Places::At(vec![[0.0, std::f32::consts::FRAC_PI_2]]);
+        lamps.angular_radius = 45_f32.to_radians();
+        lamps.contrast = 1.0;
+    });
+    let found = solved_on(&load(&folder), 70);
+    let [low, high] = found.sigma_interval95.expect("an interval");
+    assert!(low <= 0.075 && high >= 0.075, "{low} to {high}");
+    // And says something.
+    assert!(low > 0.05 && high < 0.1, "{low} to {high}");
+}
+
 /// The lamps found on a ball under one or two lamps of the given radius, degrees.
 fn lamps_found(count: u32, apart: f32, radius: f32) -> Vec<f32> {
     let folder = made(|recipe| {
