@@ -31,7 +31,7 @@ const STEP: f32 = 1.25;
 const SMOOTHEST: f32 = 0.02;
 pub const ROUGHEST: f32 = 0.5;
 
-/// Step of the factors of a roughness by which it may be another, and how many there are.
+/// Step of the factors by which broad light allows another roughness, and how many are tried on each side.
 const FINE_STEP: f32 = 1.1;
 const FINE_STEPS: i32 = 5;
 
@@ -492,17 +492,19 @@ fn end(
         };
         (fit, suspicion)
     };
+    let is_told = solver.sigma.is_none() && bound.is_none();
+    let allowed = if is_told && diagnose::is_broad(&coarse.state) {
+        allowed_factors(&coarse.state)
+    } else {
+        [1.0; 2]
+    };
     Ok(Ending {
         fit,
         because,
         refined: None,
         suspicion,
         bound,
-        allowed: if diagnose::is_broad(&coarse.state) {
-            allowed_factors(&coarse.state)
-        } else {
-            [1.0; 2]
-        },
+        allowed,
         grid: solver.grid.clone(),
         is_confirmed: true,
     })
