@@ -21,6 +21,8 @@ use rekindle_scene::reflectance::SpecularModel;
 
 /// Room for the line above a plot, points.
 const HEAD: f32 = 34.0;
+/// How strong the colours of an earlier look's curves are, over those of the last one.
+const EARLIER: f32 = 0.25;
 /// Marks of an axis at most.
 const MOST_MARKS: f64 = 5.0;
 
@@ -208,7 +210,8 @@ impl Curves<'_> {
     fn profile_ui(&self, ui: &mut egui::Ui, height: f32) {
         let palette = theme::palette(ui);
         let tip = "What each roughness leaves unexplained on the coarsest cells, as a multiple of the least, for each form of the \
-                   lobe; the line is σ, the band its 95 % interval";
+                   lobe; the line is σ, the band its 95 % interval. Fainter curves are of an earlier look: on another surface, or under \
+                   light from elsewhere";
         let models = [
             (SpecularModel::Paper, palette.curves[1]),
             (SpecularModel::Beckmann, palette.curves[2]),
@@ -228,8 +231,6 @@ impl Curves<'_> {
             }
             return;
         }
-        let least = self.tried.iter().map(|t| t.unexplained);
-        let least = least.fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
         let plot = base("profile", height - HEAD, "")
             .label_formatter(|position| {
                 let at = place(position);
@@ -242,18 +243,12 @@ impl Curves<'_> {
                     .fill(palette.accent.gamma_multiply(0.25));
                 plot.span(band);
             }
-            for (model, colour) in models {
-                let known = of(model).filter(|t| t.unexplained.is_finite());
-                let mut points: Vec<[f64; 2]> = known
-                    .map(|t| [f64::from(t.sigma), t.unexplained / least])
-                    .collect();
-                points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-                plot.points(
-                    Points::new(model.name(), PlotPoints::from(points.clone()))
-                        .radius(2.2)
-                        .color(colour),
-                );
-                plot.line(Line::new(model.name(), PlotPoints::from(points)).color(colour));
+            let looks = looks(self.tried);
+            for (k, look) in looks.iter().enumerate() {
+                let strength = if k + 1 == looks.len() { 1.0 } else { EARLIER };
+                for (model, colour) in models {
+                    look_ui(plot, look, model, colour.gamma_multiply(strength));
+                }
             }
             if let Some(step) = self.shown.and_then(|k| self.steps.get(k)) {
                 let sigma = f64::from(step.iteration.sigma);
@@ -264,6 +259,40 @@ impl Curves<'_> {
         let response = shown.response;
         response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, name));
     }
+}
+
+/// Roughnesses that were compared with each other: where one is tried again, another look begins, of a problem that is not to be compared.
+fn looks(tried: &[Tried]) -> Vec<&[Tried]> {
+    let mut looks = Vec::new();
+    let mut first = 0;
+    for (i, one) in tried.iter().enumerate() {
+        let is_again = |t: &Tried| t.model == one.model && t.sigma == one.sigma;
+        if tried[first..i].iter().any(is_again) {
+            looks.push(&tried[first..i]);
+            first = i;
+        }
+    }
+    looks.push(&tried[first..]);
+    looks
+}
+
+/// Draws what the roughnesses of a look leave with one form of the lobe.
+fn look_ui(plot: &mut PlotUi<'_>, look: &[Tried], model: SpecularModel, colour: egui::Color32) {
+    let least = look.iter().map(|t| t.unexplained);
+    let least = least.fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
+    let known = look
+        .iter()
+        .filter(|t| t.model == model && t.unexplained.is_finite());
+    let mut points: Vec<[f64; 2]> = known
+        .map(|t| [f64::from(t.sigma), t.unexplained / least])
+        .collect();
+    points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    plot.points(
+        Points::new(model.name(), PlotPoints::from(points.clone()))
+            .radius(2.2)
+            .color(colour),
+    );
+    plot.line(Line::new(model.name(), PlotPoints::from(points)).color(colour));
 }
 
 /// Iterations of one problem each.
@@ -425,6 +454,25 @@ mod tests {
         let stages = stages.iter().map(|s| (s.name, s.seconds));
         let expected = [("comparing", [1.0, 3.0]), ("splitting", [3.0, 5.0])];
         assert_eq!(stages.collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn roughnesses_of_two_looks_are_two_curves() {
+        let tried = |model, sigma| Tried {
+            model,
+            sigma,
+            unexplained: 1.0,
+        };
+        let (paper, ggx) = (SpecularModel::Paper, SpecularModel::Ggx);
+        let first = [tried(paper, 0.1), tried(paper, 0.2), tried(ggx, 0.1)];
+        assert_eq!(
+            looks(&first).len(),
+            1,
+            "another form of the lobe is no other look"
+        );
+        let both = [&first[..], &first[..2]].concat();
+        let lengths: Vec<usize> = looks(&both).iter().map(|look| look.len()).collect();
+        assert_eq!(lengths, [3, 2]);
     }
 
     #[test]

@@ -66,7 +66,8 @@ pub enum Interim<'a> {
         model: SpecularModel,
         /// Roughness σ, radians.
         sigma: f32,
-        /// What it leaves of the differences between views, in squares; comparable between tries of one solve.
+        /// What it leaves of the differences between views, in squares; comparable until a roughness of a model is tried again, on another
+        /// surface or under light from elsewhere.
         unexplained: f64,
     },
 }
