@@ -4,6 +4,7 @@
 use glam::Vec3;
 
 use super::truth::{TrueLamp, Truth};
+use rekindle_base::math::groups::linked_groups;
 use rekindle_scene::hemisphere::{HemisphereGrid, find_lamps};
 use rekindle_solution::SolutionLamp;
 
@@ -119,6 +120,7 @@ impl<'a> Measures<'a> {
 }
 
 /// What of an estimate's lamps is which true lamp's.
+#[derive(Debug)]
 struct Matched {
     /// Angles between true lamps and what was found of them, degrees.
     angles: Vec<f64>,
@@ -205,20 +207,10 @@ fn together(lights: impl Iterator<Item = (Vec3, Vec3)>) -> FoundLamp {
 
 /// The same lamps, those whose discs touch as one: nothing tells where one ends and the other begins.
 fn joined(lamps: &[TrueLamp]) -> Vec<TrueLamp> {
-    let mut groups: Vec<Vec<TrueLamp>> = Vec::new();
-    for &lamp in lamps {
-        let touches = |other: &TrueLamp| {
-            let reach = lamp.angular_radius + other.angular_radius;
-            lamp.direction.angle_between(other.direction) <= TOUCHING * reach
-        };
-        let (touched, mut apart): (Vec<_>, Vec<_>) = groups
-            .into_iter()
-            .partition(|group| group.iter().any(touches));
-        let mut group = touched.concat();
-        group.push(lamp);
-        apart.push(group);
-        groups = apart;
-    }
+    let touch = |one: &TrueLamp, other: &TrueLamp| {
+        let reach = one.angular_radius + other.angular_radius;
+        one.direction.angle_between(other.direction) <= TOUCHING * reach
+    };
     let one = |group: Vec<TrueLamp>| {
         let FoundLamp { direction, flux } = together(group.iter().map(|l| (l.direction, l.flux)));
         let reach = |lamp: &TrueLamp| direction.angle_between(lamp.direction) + lamp.angular_radius;
@@ -232,6 +224,7 @@ fn joined(lamps: &[TrueLamp]) -> Vec<TrueLamp> {
             },
         }
     };
+    let groups = linked_groups(lamps.to_vec(), touch);
     groups.into_iter().map(one).collect()
 }
 
@@ -321,19 +314,14 @@ mod tests {
                 flux: Vec3::splat(9.0),
             },
         ];
-        let Matched {
-            angles,
-            fluxes,
-            outside,
-            missing,
-        } = matched(&truth, &found).expect("lamps on both sides");
-        assert!(angles[0].abs() < 1e-4);
+        let lamps = matched(&truth, &found).expect("lamps on both sides");
+        assert!(lamps.angles[0].abs() < 1e-4);
         assert!(
-            (angles[1] - 0.01_f64.atan().to_degrees()).abs() < 1e-4,
-            "{angles:?}"
+            (lamps.angles[1] - 0.01_f64.atan().to_degrees()).abs() < 1e-4,
+            "{lamps:?}"
         );
-        assert!(fluxes.iter().all(|f| f.abs() < 1e-6), "{fluxes:?}");
-        assert!((outside - 9.0 / 17.0).abs() < 1e-6 && missing == 0.0);
+        assert!(lamps.fluxes.iter().all(|f| f.abs() < 1e-6), "{lamps:?}");
+        assert!((lamps.outside - 9.0 / 17.0).abs() < 1e-6 && lamps.missing == 0.0);
         assert!(matched(&truth, &[]).is_none());
         // One lamp 10 % too strong: 1.1 + 3 shared out as 1 + 3.
         let stronger = [found[1], found[0]].map(|mut f| {
@@ -358,14 +346,11 @@ mod tests {
             direction: Vec3::X,
             flux: Vec3::splat(2.0),
         }];
-        let Matched {
-            angles,
-            fluxes,
-            outside,
-            missing,
-        } = matched(&truth, &found).expect("lamps on both sides");
-        assert_eq!((angles.len(), fluxes.len(), outside), (1, 1, 0.0));
-        assert!(angles[0] < 1e-4 && fluxes[0].abs() < 1e-6 && (missing - 0.01).abs() < 1e-6);
+        let lamps = matched(&truth, &found).expect("lamps on both sides");
+        let counts = (lamps.angles.len(), lamps.fluxes.len(), lamps.outside);
+        assert_eq!(counts, (1, 1, 0.0));
+        assert!(lamps.angles[0] < 1e-4 && lamps.fluxes[0].abs() < 1e-6);
+        assert!((lamps.missing - 0.01).abs() < 1e-6);
     }
 
     #[test]

@@ -59,6 +59,16 @@ fn made(change: impl FnOnce(&mut Recipe)) -> TempDir {
     folder
 }
 
+/// A capture as users get it, of pictures of this size, without pictures of the truth.
+fn made_as_usual(size: [u32; 2], change: impl FnOnce(&mut Recipe)) -> TempDir {
+    made(|recipe| {
+        *recipe = Recipe::default();
+        recipe.truth_pictures = false;
+        recipe.views.size = size;
+        change(recipe);
+    })
+}
+
 fn load(folder: &TempDir) -> Capture {
     Capture::load(&folder.path().join("made")).unwrap()
 }
@@ -485,10 +495,7 @@ fn an_estimate_finds_what_was_put_in() {
 
 #[test]
 fn two_lamps_and_some_noise_are_no_other_specular_model() {
-    let folder = made(|recipe| {
-        *recipe = Recipe::default();
-        recipe.truth_pictures = false;
-        recipe.views.size = [240, 180];
+    let folder = made_as_usual([240, 180], |recipe| {
         recipe.sensor.noise = 0.01;
         let lamps = lamps(recipe);
         lamps.places = Places::Row(2, 10_f32.to_radians());
@@ -502,10 +509,7 @@ fn two_lamps_and_some_noise_are_no_other_specular_model() {
 
 #[test]
 fn a_lobe_that_was_asked_for_is_doubted_where_another_explains_more() {
-    let folder = made(|recipe| {
-        *recipe = Recipe::default();
-        recipe.truth_pictures = false;
-        recipe.views.size = [240, 180];
+    let folder = made_as_usual([240, 180], |recipe| {
         recipe.sensor.noise = 0.005;
         recipe.material = Material::dielectric(SpecularModel::Ggx, 0.1, 1.5);
         lamps(recipe).places = Places::Row(2, 40_f32.to_radians());
@@ -536,10 +540,7 @@ fn a_lobe_that_was_asked_for_is_doubted_where_another_explains_more() {
 
 #[test]
 fn under_broad_light_the_interval_holds_the_roughness() {
-    let folder = made(|recipe| {
-        *recipe = Recipe::default();
-        recipe.truth_pictures = false;
-        recipe.views.size = [320, 240];
+    let folder = made_as_usual([320, 240], |recipe| {
         let lamps = lamps(recipe);
         lamps.places = Places::At(vec![[0.0, std::f32::consts::FRAC_PI_2]]);
         lamps.angular_radius = 45_f32.to_radians();
