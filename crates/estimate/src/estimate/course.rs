@@ -14,7 +14,7 @@ use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::shading::LightByShading;
 use super::state::{ROUGH, State};
 use super::suspects::{Suspicion, better_lobe, left};
-use super::{diagnose, exposures, strengths};
+use super::{diagnose, exposures, sparse_gloss, strengths};
 use glam::Vec3;
 use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
@@ -66,6 +66,8 @@ pub struct Ending {
     pub grid: HemisphereGrid,
     /// Whether the photographs say that there is gloss, and not only who stated its roughness.
     pub is_confirmed: bool,
+    /// Whether the lights are as strong as the shading says; see [`sparse_gloss`].
+    pub is_by_shading: bool,
 }
 
 impl Ending {
@@ -111,9 +113,13 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
     {
         return Ok(bettered);
     }
-    Ok(match outcome {
-        Outcome::Nothing(reason, _) => Outcome::Nothing(reason, Some(light)),
-        outcome => outcome,
+    let Outcome::Nothing(reason, _) = outcome else {
+        return Ok(outcome);
+    };
+    let by_highlights = sparse_gloss::found(solver, &light, rules.choice, watch)?;
+    Ok(match by_highlights {
+        Some(ending) => Outcome::Found(Box::new(ending)),
+        None => Outcome::Nothing(reason, Some(light)),
     })
 }
 
@@ -507,6 +513,7 @@ fn end(
         allowed,
         grid: solver.grid.clone(),
         is_confirmed: true,
+        is_by_shading: false,
     })
 }
 
@@ -677,7 +684,7 @@ fn choose<'s>(
 }
 
 /// The same of roughnesses about one, where there is such.
-fn choose_near<'s>(
+pub fn choose_near<'s>(
     solver: &'s Solver<'_>,
     choice: SpecularChoice,
     near: Option<f32>,

@@ -101,6 +101,10 @@ pub const UNCONFIRMED: &str = "The photographs do not show that the surface is g
 pub const BY_SHADING: &str = "The lighting was taken from the shading alone, as if the texture were even: it is white on the \
     whole, and its strength is open. Lights may be wider and weaker or stronger than they were.";
 
+/// What is said where highlights on few parts tell of lights, and the shading of how strong they are.
+pub const STRENGTHS_BY_SHADING: &str = "Only few parts of the surface are glossy. They tell the roughness and where lights are that they mirror; how \
+    strong lights are, and those that they don't mirror, were taken from the shading, as if the texture were even.";
+
 /// What is said where the light is what the diffuse part says of an object that turns before it.
 pub const BY_DIFFUSE: &str = "The lighting was taken from how the diffuse part changes as the object turns: it is white, and its strength is \
     open. Small lights may be wider than they were.";

@@ -24,6 +24,7 @@ use super::lamps::fill_compact_lamps;
 use super::lobes::light_from;
 use super::merging::merge_lamps;
 use super::misfit::Misfit;
+use super::near::Near;
 use super::observations::{Candidate, Observations, Row, Sampling, Seen, pixels_inside, widest};
 use super::observer::{Interim, Iteration, Observer, Stopped, Unobserved, go_on};
 use super::spread::even_out;
@@ -61,10 +62,6 @@ const SETTLED: f64 = 3e-4;
 
 /// Frequency of the coarsest grid.
 pub const COARSEST: u32 = 11;
-
-/// Distance from directions that light is sought near, in spacings of the coarsest cells: with one, gloss on few parts of a path-traced
-/// elephant was missed.
-const NEAR_TO: f32 = 2.0;
 
 /// Points on the coarsest cells.
 const COARSE_POINTS: usize = 1500;
@@ -191,8 +188,8 @@ pub struct Solver<'a> {
     pub is_lobe_asked_for: bool,
     /// What a first estimate has found.
     pub first: Option<&'a Estimate>,
-    /// Directions that light is sought near, where that is not everywhere.
-    pub near_to: Option<&'a [Vec3]>,
+    /// Where light is sought, if not everywhere.
+    pub near_to: Option<Near<'a>>,
     /// Set once the observer wants no more.
     pub stop: &'a AtomicBool,
 }
@@ -222,9 +219,10 @@ pub struct Watch<'w> {
     pub observer: &'w mut dyn Observer,
 }
 
-/// Points spread over everything seen, about `count`; `scale` is the radiance that counts as 1, if it has been chosen already.
+/// Points spread over everything seen that could show the light that is sought, about `count`; `scale` is the radiance that counts as 1, if it has been chosen already.
 fn spread_points(
     seen: &Seen<'_>,
+    near_to: Option<Near<'_>>,
     count: usize,
     scale: Option<f32>,
     stop: &AtomicBool,
@@ -236,7 +234,10 @@ fn spread_points(
         scale,
         stop,
     };
-    Observations::gather(seen, &sampling)
+    near_to.map_or_else(
+        || Observations::gather(seen, &sampling),
+        |near| near.points(seen, &sampling),
+    )
 }
 
 impl<'a> Solver<'a> {
@@ -265,7 +266,7 @@ impl<'a> Solver<'a> {
             grid: input.grid,
             pyramid,
             near: input.grid.radius.map(|r| (input.grid.centre, r)),
-            coarse: Self::coarse_observations(&seen, None, stop),
+            coarse: Self::coarse_observations(&seen, None, None, stop),
             coarse_sees: OnceLock::new(),
             started,
             shortcuts,
@@ -290,10 +291,11 @@ impl Solver<'_> {
     /// Points for the coarsest cells; `scale` is the radiance that counts as 1, if it has been chosen already.
     pub fn coarse_observations(
         seen: &Seen<'_>,
+        near_to: Option<Near<'_>>,
         scale: Option<f32>,
         stop: &AtomicBool,
     ) -> Observations {
-        spread_points(seen, COARSE_POINTS, scale, stop).to_gray()
+        spread_points(seen, near_to, COARSE_POINTS, scale, stop).to_gray()
     }
 
     /// [`Solver::coarse`] in colour.
@@ -303,7 +305,8 @@ impl Solver<'_> {
 
     /// About `count` points spread over everything seen, in colour.
     pub fn colours(&self, count: usize) -> Observations {
-        spread_points(&self.seen, count, Some(self.coarse.scale), self.stop)
+        let scale = Some(self.coarse.scale);
+        spread_points(&self.seen, self.near_to, count, scale, self.stop)
     }
 
     /// The best of [`SIGMAS`] on the coarsest cells. Where another model's roughness is known, only those near it are looked
@@ -369,35 +372,6 @@ impl Solver<'_> {
             sharpness,
             left: OnceLock::new(),
         })
-    }
-
-    /// The same solver with light sought near some directions only.
-    pub fn near_to<'b>(&'b self, directions: &'b [Vec3]) -> Solver<'b> {
-        Solver {
-            near_to: Some(directions),
-            coarse: self.coarse.clone(),
-            coarse_sees: OnceLock::new(),
-            ..*self
-        }
-    }
-
-    /// The coarsest cells in which light is sought.
-    pub fn roots(&self) -> Vec<Cell> {
-        let roots = self.pyramid.roots();
-        let Some(directions) = self.near_to else {
-            return roots;
-        };
-        let own = self.pyramid.geometry(&roots).directions;
-        let near = roots.into_iter().zip(own);
-        near.filter(|(_, own)| self.is_near(*own, directions))
-            .map(|(cell, _)| cell)
-            .collect()
-    }
-
-    /// Whether a unit direction is so near one of others that light which is sought near these is sought there.
-    pub fn is_near(&self, direction: Vec3, others: &[Vec3]) -> bool {
-        let least = (NEAR_TO * self.pyramid.spacing(0)).cos();
-        others.iter().any(|other| other.dot(direction) >= least)
     }
 
     /// The coarsest cells, unlit.
@@ -479,7 +453,9 @@ impl Solver<'_> {
         let is_even = self.first.is_some_and(|first| first.parts.is_none());
         let is_stated = self.sigma.is_some();
         let found = if rounds > 0 && !is_even && !is_stated && !self.is_provisional() {
-            self.gloss_parts(&state, [SURE])
+            let more = self.gloss_parts(&state, [SURE]);
+            let is_focused = self.near_to.is_some_and(|near| near.is_focused);
+            more.or_else(|| is_focused.then(|| self.glossy_parts(&state))?)
         } else {
             None
         };

@@ -216,6 +216,18 @@ impl Solver<'_> {
         })
     }
 
+    /// The parts of the surface that show the lobe of a state under its lights, and those that show none, with the gloss of the former.
+    pub fn glossy_parts(&self, state: &State<'_>) -> Option<(GlossParts, Gloss)> {
+        let kinds = [
+            NO_GLOSS,
+            Kind {
+                height: 1.0,
+                ..NO_GLOSS
+            },
+        ];
+        self.on_board(state, |board, lit| board.parted(lit, &kinds))
+    }
+
     /// Something done with what points say of their gloss under the lights of a state.
     fn on_board<R>(&self, state: &State<'_>, then: impl FnOnce(&Board<'_>, &Lit<'_>) -> R) -> R {
         let observations = Observations::gather(

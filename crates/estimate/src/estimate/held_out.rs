@@ -4,7 +4,7 @@
 //! nothing of a view that had no say in them, while true ones show in it what the others don't: that is what they are for.
 
 use std::collections::BTreeMap;
-use std::ops::Range;
+use std::ops::{AddAssign, Range};
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -49,6 +49,14 @@ pub struct Left {
     pub shown: f64,
 }
 
+impl AddAssign for Left {
+    fn add_assign(&mut self, other: Self) {
+        self.dark += other.dark;
+        self.lit += other.lit;
+        self.shown += other.shown;
+    }
+}
+
 /// What an explanation leaves at one of a surface's points.
 #[derive(Clone, Copy, Debug)]
 pub struct LeftAt {
@@ -71,6 +79,11 @@ pub fn shows_gloss(left: &[Left]) -> bool {
 pub fn predicts_better(own: &[Left], others: &[Left]) -> bool {
     let pairs = others.iter().zip(own);
     is_less(pairs.map(|(other, own)| (other.shown.max(own.shown), other.lit, own.lit))) > CHANCE
+}
+
+/// By how many standard deviations of chance lights leave less of such views than diffuse colours alone do, at the points that can tell.
+pub fn gain(left: &[Left]) -> f64 {
+    is_less(left.iter().map(|left| (left.shown, left.dark, left.lit)))
 }
 
 /// By how many standard deviations of chance the third of some values is less than the second, at points that can tell: where the
@@ -104,10 +117,9 @@ fn of_turns(design: &Design<'_>, fit: &State<'_>, units: &[f32], turns: usize) -
         .collect();
     let of_price = |price: usize| -> Vec<Left> {
         let sum = |i: usize| {
-            of_turns.iter().fold(Left::default(), |sum, turn| Left {
-                dark: sum.dark + turn[price][i].dark,
-                lit: sum.lit + turn[price][i].lit,
-                shown: sum.shown + turn[price][i].shown,
+            of_turns.iter().fold(Left::default(), |mut sum, turn| {
+                sum += turn[price][i];
+                sum
             })
         };
         (0..design.observations.points.len()).map(sum).collect()

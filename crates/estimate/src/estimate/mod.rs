@@ -15,16 +15,20 @@ mod exposures;
 mod fast;
 mod gloss;
 mod gram;
+mod held_lights;
 mod held_out;
+mod highlights;
 mod known_light;
 mod lamps;
 pub mod lobes;
 mod merging;
 pub mod misfit;
+mod near;
 pub mod observations;
 mod observer;
 mod relief;
 mod shading;
+mod sparse_gloss;
 mod spread;
 mod state;
 mod strengths;
@@ -559,7 +563,7 @@ fn run(
         Outcome::Nothing(reason, by_shading) => {
             result.diagnostics.warnings.push(reason);
             if let Some(light) = by_shading {
-                let (grid, nodes) = light.into_nodes();
+                let (grid, nodes) = light.nodes();
                 let said = diagnose::BY_SHADING.to_owned();
                 result.diagnostics.warnings.push(said);
                 (result.grid, result.radiance) = (grid, nodes);
@@ -638,6 +642,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         allowed,
         grid,
         is_confirmed,
+        is_by_shading,
     } = ending;
     let sigma = fit.brdf.sigma;
     let by_noise = HALF_INTERVAL * fit.noise_error / sigma;
@@ -663,7 +668,8 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         None => diagnose::misfit(&fit.misfit),
     };
     let unresolved = diagnose::unresolved(&solver.seen, &fit);
-    let doubts = [unconfirmed, open, misfit, unresolved];
+    let by_shading = is_by_shading.then(|| diagnose::STRENGTHS_BY_SHADING.to_owned());
+    let doubts = [unconfirmed, open, misfit, unresolved, by_shading];
     result.diagnostics.well_posed = doubts.iter().all(Option::is_none);
     let refined = result.refined.as_ref().map(diagnose::refined);
     let metal = (fit.brdf.model == SpecularModel::Metal).then(|| diagnose::METAL.to_owned());

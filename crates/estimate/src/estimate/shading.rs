@@ -126,9 +126,9 @@ impl LightByShading {
     }
 
     /// The nodes, with the radiance of each, RGB.
-    pub fn into_nodes(self) -> (HemisphereGrid, Vec<[f32; 3]>) {
+    pub fn nodes(&self) -> (HemisphereGrid, Vec<[f32; 3]>) {
         let nodes = self.pyramid.to_nodes(&self.cells, &self.radiance);
-        (self.grid, nodes)
+        (self.grid.clone(), nodes)
     }
 
     /// Whether other lights make neighbouring albedos differ by no more than this one does, in most parts of the surface: what is fitted to

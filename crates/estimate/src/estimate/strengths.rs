@@ -12,6 +12,7 @@ use super::cells::Cell;
 use super::design::Design;
 use super::fast::{Solver, Watch};
 use super::gloss::{WORTH, bonds};
+use super::highlights;
 use super::observations::{Observations, Point};
 use super::observer::{Stopped, go_on};
 use super::state::{ROUGH, State};
@@ -24,6 +25,10 @@ use rekindle_scene::surface::{GlossParts, PartPoint};
 const POINTS: usize = 8000;
 /// Roughnesses that are tried, radians. The first decides whether there is anything to be found.
 pub const SIGMAS: [f32; 3] = [0.08, 0.13, 0.05];
+/// A roughness that is tried where few points show gloss: lights are sought on finer cells there.
+const NARROW: f32 = 0.03;
+/// What is reported.
+const WHAT: &str = "looking for patches of gloss";
 /// Turns of strengths, after lights of one strength for all. One brings most of what there is to be had.
 const TURNS: usize = 2;
 /// Part of a point's strength that stays in a turn.
@@ -64,41 +69,86 @@ impl Solver<'_> {
     /// The surface's parts by the strength of their gloss, whatever parts it has, if these explain the views clearly better than one for
     /// all.
     pub fn strengths(&self, watch: &mut Watch<'_>) -> Result<Option<GlossParts>, Stopped> {
+        self.search(|search| {
+            let mut best = Vec::new();
+            for sigma in SIGMAS {
+                go_on(watch.observer.progress(WHAT, 0.3))?;
+                let plain = search.plain(Brdf::new(SpecularModel::Paper, sigma));
+                let found = search.turned(&plain, 0.0);
+                if best.is_empty() && found.unexplained > WORTH * plain.unexplained {
+                    return Ok(None);
+                }
+                best.push(search.settled(found));
+            }
+            Ok(least(best).map(|found| search.parts(&found)))
+        })
+    }
+
+    /// The same with the roughness that goes with them, radians, from lights that explain the points which show a highlight: the others may
+    /// be most of those that mirror a light, and have no gloss.
+    pub fn strengths_by_highlights(
+        &self,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<(GlossParts, f32)>, Stopped> {
+        let Some(near) = self.near_to else {
+            return Ok(None);
+        };
+        self.search(|search| {
+            let shown = highlights::shown(search.gray, &near);
+            let glossy: Vec<f64> = shown.into_iter().map(|s| f64::from(u8::from(s))).collect();
+            let mut tried = Vec::new();
+            for sigma in SIGMAS.into_iter().chain([NARROW]) {
+                go_on(watch.observer.progress(WHAT, 0.3))?;
+                let brdf = Brdf::new(SpecularModel::Paper, sigma);
+                let start = search.lit(brdf, glossy.clone(), search.dark());
+                tried.push(search.settled(search.turned(&start, 0.0)));
+            }
+            let Some(best) = least(tried) else {
+                return Ok(None);
+            };
+            let is_worth = best.unexplained < WORTH * search.plain(best.brdf).unexplained;
+            Ok(is_worth.then(|| (search.parts(&best), best.brdf.sigma)))
+        })
+    }
+
+    /// Something done with points whose strengths are sought.
+    fn search<R>(&self, then: impl FnOnce(&Search<'_>) -> R) -> R {
         let colours = self.colours(POINTS).without_parts();
         let gray = colours.to_gray();
-        let cells = self.roots();
-        let search = Search {
+        then(&Search {
             solver: self,
             seen: self.roots_design(&gray, self.near).seen,
-            cells,
+            cells: self.roots(),
             colours: &colours,
             gray: &gray,
-        };
-        let mut best: Option<Strengths> = None;
-        for sigma in SIGMAS {
-            go_on(watch.observer.progress("looking for patches of gloss", 0.3))?;
-            let plain = search.plain(Brdf::new(SpecularModel::Paper, sigma));
-            let mut found = search.turned(&plain, 0.0);
-            if best.is_none() && found.unexplained > WORTH * plain.unexplained {
-                return Ok(None);
-            }
-            for _ in 1..TURNS {
-                found = search.turned(&found, KEPT);
-            }
-            let least = best.as_ref().map_or(f64::INFINITY, |b| b.unexplained);
-            if found.unexplained < least {
-                best = Some(found);
-            }
-        }
-        Ok(best.map(|found| search.parts(&found)))
+        })
     }
+}
+
+/// The strengths that leave least.
+fn least(tried: Vec<Strengths>) -> Option<Strengths> {
+    let tried = tried.into_iter();
+    tried.min_by(|a, b| a.unexplained.total_cmp(&b.unexplained))
 }
 
 impl Search<'_> {
     /// One strength for all.
     fn plain(&self, brdf: Brdf) -> Strengths {
         let strengths = vec![1.0; self.gray.points.len()];
-        self.lit(brdf, strengths, vec![[0.0; 3]; self.cells.len()])
+        self.lit(brdf, strengths, self.dark())
+    }
+
+    /// No lights.
+    fn dark(&self) -> Vec<[f32; 3]> {
+        vec![[0.0; 3]; self.cells.len()]
+    }
+
+    /// Strengths after the turns that follow the first.
+    fn settled(&self, mut found: Strengths) -> Strengths {
+        for _ in 1..TURNS {
+            found = self.turned(&found, KEPT);
+        }
+        found
     }
 
     /// Lights of these strengths, sought from those at hand.

@@ -1,5 +1,6 @@
 //! What the estimation promises as a whole, on a capture with known truth and on made observations.
 
+use std::array;
 use std::f32::consts::PI;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -311,6 +312,15 @@ fn lamps_of_spot_paper_are_within(found: &Estimate, most: f32) {
     assert!(strays < 0.03 * all, "{strays} of {all}");
 }
 
+/// `spot_paper` without gloss.
+fn matte() -> Capture {
+    let mut matte = load();
+    for (view, picture) in matte.views.iter_mut().zip(true_diffuse(&load())) {
+        Arc::make_mut(&mut view.photograph).radiance = picture;
+    }
+    matte
+}
+
 /// Whether a place of [`half_dull`] has no gloss.
 fn is_dull(p: Vec3) -> bool {
     (3.0 * p).floor().element_sum() as i32 % 2 == 0
@@ -318,6 +328,21 @@ fn is_dull(p: Vec3) -> bool {
 
 /// `spot_paper` with gloss on half of its surface, and where highlights are, or would be if it weren't dull.
 fn half_dull() -> (Capture, Vec<Vec3>) {
+    dull_where(is_dull, 1.0)
+}
+
+/// Whether a place of [`mostly_dull`] has no gloss.
+fn is_mostly_dull(p: Vec3) -> bool {
+    (5.0 * p).floor().element_sum() as i32 % 3 != 0
+}
+
+/// `spot_paper` with four times the gloss on a third of its surface, and where highlights are, or would be.
+fn mostly_dull() -> (Capture, Vec<Vec3>) {
+    dull_where(is_mostly_dull, 4.0)
+}
+
+/// `spot_paper` without gloss at some places and so many times as much elsewhere, and where highlights are, or would be if none were dull.
+fn dull_where(is_dull: fn(Vec3) -> bool, times: f32) -> (Capture, Vec<Vec3>) {
     let mut capture = load();
     let occluder = Occluder::new(&capture.mesh);
     let mut places = Vec::new();
@@ -330,9 +355,8 @@ fn half_dull() -> (Capture, Vec<Vec3>) {
                 if pixel[1] > 1.2 * diffuse[1] {
                     places.push(point.position);
                 }
-                if is_dull(point.position) {
-                    *pixel = diffuse;
-                }
+                let gloss = if is_dull(point.position) { 0.0 } else { times };
+                *pixel = array::from_fn(|c| diffuse[c] + gloss * (pixel[c] - diffuse[c]));
             }
         }
     }
@@ -340,8 +364,8 @@ fn half_dull() -> (Capture, Vec<Vec3>) {
     (capture, places)
 }
 
-/// Whether the parts that were found are those of [`half_dull`] at nearly all of some places.
-fn parts_are_half_dull(found: &Estimate, places: &[Vec3]) {
+/// Whether the parts that were found have no gloss where `is_dull` says so, at nearly all of some places.
+fn parts_are(found: &Estimate, is_dull: fn(Vec3) -> bool, places: &[Vec3]) {
     let parts = found.parts.as_ref().expect("some of the surface is dull");
     let is_right = |&&p: &&Vec3| is_dull(p) == (parts.glosses[parts.at(p)].strength == 0.0);
     let right = places.iter().filter(is_right).count();
@@ -350,6 +374,11 @@ fn parts_are_half_dull(found: &Estimate, places: &[Vec3]) {
         "{right} of {}",
         places.len()
     );
+}
+
+/// Whether they are those of [`half_dull`].
+fn parts_are_half_dull(found: &Estimate, places: &[Vec3]) {
+    parts_are(found, is_dull, places);
 }
 
 #[test]
@@ -382,11 +411,7 @@ fn a_scan_of_a_surface_half_of_which_has_no_gloss_is_refined() {
 
 #[test]
 fn lights_that_the_shading_contradicts_are_told() {
-    let mut matte = load();
-    for (view, picture) in matte.views.iter_mut().zip(true_diffuse(&load())) {
-        Arc::make_mut(&mut view.photograph).radiance = picture;
-    }
-    with_solver(&matte, |solver| {
+    with_solver(&matte(), |solver| {
         let by_shading = LightByShading::of(solver).expect("two lamps shade");
         let bears_out = |lamps: &[(Vec3, f32)]| {
             let mut nodes = vec![[0.0; 3]; solver.grid.directions.len()];
@@ -405,6 +430,37 @@ fn lights_that_the_shading_contradicts_are_told() {
         let turned = [one, other].map(|(direction, flux)| (turn * direction, flux));
         assert!(!bears_out(&turned), "lamps that are elsewhere");
     });
+}
+
+#[test]
+fn highlights_on_few_parts_point_at_a_lamp_and_a_matte_surface_has_none() {
+    let (capture, _) = mostly_dull();
+    with_solver(&capture, |solver| {
+        let found = highlights::directions(solver);
+        assert!(!found.is_empty());
+        for direction in &found {
+            let off = LAMPS.map(|truth| direction.angle_between(truth).to_degrees());
+            assert!(off[0].min(off[1]) < 10.0, "{off:?}: {found:?}");
+        }
+    });
+    with_solver(&matte(), |solver| {
+        assert_eq!(highlights::directions(solver), []);
+    });
+}
+
+#[test]
+fn gloss_on_few_parts_of_a_surface_is_found_by_its_highlights() {
+    let (capture, places) = mostly_dull();
+    let found = fast(&capture);
+    let sigma = found.brdf.expect("gloss").sigma;
+    // From the truth.json of spot_paper.
+    assert!((sigma / 0.085 - 1.0).abs() < 0.1, "{sigma}");
+    lamps_of_spot_paper_are_within(&found, 3.0);
+    parts_are(&found, is_mostly_dull, &places);
+    let said = found.diagnostics.warnings.iter();
+    let by_shading = said.filter(|said| said.contains("taken from the shading"));
+    assert_eq!(by_shading.count(), 1, "{:?}", found.diagnostics);
+    assert!(!found.diagnostics.well_posed);
 }
 
 #[test]

@@ -289,8 +289,13 @@ impl HemisphereGrid {
     /// The node nearest to where the ray from `position` along the unit `direction` meets the hemisphere: the nodes'
     /// sphere at finite radius, infinity otherwise.
     pub fn nearest_along(&self, position: Vec3, direction: Vec3) -> Option<usize> {
+        self.nearest(self.from_centre(position, direction)?)
+    }
+
+    /// The unit direction from the centre to where the ray from `position` along the unit `direction` meets the hemisphere.
+    pub fn from_centre(&self, position: Vec3, direction: Vec3) -> Option<Vec3> {
         let Some(radius) = self.radius else {
-            return self.nearest(direction);
+            return Some(direction);
         };
         let from = position - self.centre;
         let along = from.dot(direction);
@@ -299,7 +304,7 @@ impl HemisphereGrid {
             return None;
         }
         let distance = discriminant.sqrt() - along;
-        self.nearest((from + distance * direction).try_normalize()?)
+        (from + distance * direction).try_normalize()
     }
 
     /// The nodes that share a grid edge with `node`, ascending.

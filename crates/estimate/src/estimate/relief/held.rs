@@ -1,16 +1,13 @@
 //! The surface under lights that have been found on it.
 
-use std::collections::BTreeMap;
-
 use super::equations::LinearRows;
 use super::{POINTS, POINTS_ON_TRIAL, Relief, is_out};
-use crate::estimate::cells::Cell;
 use crate::estimate::fast::{Fit, Solver, Watch};
-use crate::estimate::held_out::{CHANCE, common_noise, in_noise, left_under};
+use crate::estimate::held_lights::HeldLights;
+use crate::estimate::held_out::{CHANCE, common_noise};
 use crate::estimate::observations::Observations;
 use crate::estimate::observer::{Stopped, go_on};
 use rekindle_base::math::ranks::signed_ranks;
-use rekindle_scene::reflectance::Brdf;
 
 /// What is reported of it.
 const WHAT: &str = "refining the surface under the lights";
@@ -21,66 +18,6 @@ const ROUNDS: usize = 3;
 /// How many times less rows count than if each were wrong by itself: what lights and lobe get wrong, they get wrong of many rows together.
 const STIFFNESSES: [f64; 3] = [1.0, 10.0, 100.0];
 
-/// Lights that have been found and are held.
-struct Held {
-    cells: Vec<Cell>,
-    /// In units of the observations' scale.
-    radiance: Vec<[f32; 3]>,
-    brdf: Brdf,
-}
-
-impl Held {
-    /// A fit's lights, on cells that are as coarse as its lobe allows.
-    fn of(solver: &Solver<'_>, fit: &Fit) -> Self {
-        let pyramid = solver.pyramid;
-        let finest = pyramid.finest();
-        let fits = |level: u8| pyramid.spacing(level) < fit.brdf.sigma;
-        let level = (0..=finest).find(|&level| fits(level)).unwrap_or(finest);
-        let mut flux: BTreeMap<Cell, [f32; 3]> = BTreeMap::new();
-        for (node, radiance) in fit.nodes.iter().enumerate() {
-            if radiance.iter().all(|&v| v <= 0.0) {
-                continue;
-            }
-            let mut cell = Cell {
-                level: finest,
-                node: node as u32,
-            };
-            while cell.level > level {
-                cell = pyramid.parent(cell);
-            }
-            let sum = flux.entry(cell).or_default();
-            for (sum, v) in sum.iter_mut().zip(radiance) {
-                *sum += v * solver.grid.solid_angle / solver.coarse.scale;
-            }
-        }
-        let cells: Vec<Cell> = flux.keys().copied().collect();
-        let angles = pyramid.geometry(&cells).solid_angles;
-        let radiance = flux
-            .values()
-            .zip(angles)
-            .map(|(f, angle)| f.map(|f| f / angle));
-        Self {
-            radiance: radiance.collect(),
-            cells,
-            brdf: fit.brdf,
-        }
-    }
-
-    /// Points at which they could show.
-    fn points(&self, solver: &Solver<'_>, limit: usize) -> Observations {
-        let mut around = self.cells.clone();
-        while around.first().is_some_and(|cell| cell.level > 0) {
-            for cell in &mut around {
-                *cell = solver.pyramid.parent(*cell);
-            }
-        }
-        around.sort_unstable();
-        around.dedup();
-        let directions = solver.pyramid.geometry(&around).directions;
-        solver.points_showing(&directions, &self.brdf, limit)
-    }
-}
-
 impl Relief {
     /// Moves the heights under lights that have been found on the present surface, which `solver` is of. Where nothing has moved
     /// them before, views that had no say have to be explained better by that, beyond chance. Whether they were moved.
@@ -90,7 +27,7 @@ impl Relief {
         fit: &Fit,
         watch: &mut Watch<'_>,
     ) -> Result<bool, Stopped> {
-        let light = Held::of(solver, fit);
+        let light = HeldLights::of(solver, fit);
         let start = self.heights.clone();
         let is_proven = start.iter().any(|&height| height != 0.0);
         let stiffness = if is_proven {
@@ -118,7 +55,7 @@ impl Relief {
     fn best_stiffness(
         &mut self,
         solver: &Solver<'_>,
-        light: &Held,
+        light: &HeldLights,
         watch: &mut Watch<'_>,
     ) -> Result<Option<f64>, Stopped> {
         let judging = light.points(solver, POINTS_ON_TRIAL);
@@ -148,7 +85,7 @@ impl Relief {
     fn bent(
         &mut self,
         solver: &Solver<'_>,
-        light: &Held,
+        light: &HeldLights,
         mut points: Observations,
         stiffness: f64,
     ) -> Option<()> {
@@ -162,19 +99,11 @@ impl Relief {
     }
 
     /// What some points of the surface that `solver` is of leave, with the present normals, of the views that are out.
-    fn left_out(&self, solver: &Solver<'_>, light: &Held, points: &Observations) -> Vec<f64> {
+    fn left_out(&self, solver: &Solver<'_>, light: &HeldLights, points: &Observations) -> Vec<f64> {
         let noise = common_noise(&solver.design(points, &[]));
         let mut points = points.clone();
         self.turn(&mut points);
-        let design = solver.shadowed_design(&points, &light.cells, &light.brdf);
-        let units = in_noise(&design, noise);
-        let left = left_under(
-            &design,
-            &light.cells,
-            (light.brdf, &light.radiance),
-            &units,
-            is_out,
-        );
+        let left = light.left_out(solver, &points, noise, is_out);
         left.iter().map(|left| left.lit).collect()
     }
 }

@@ -111,7 +111,12 @@ impl Bench {
             ..other.seen
         };
         Solver {
-            coarse: Solver::coarse_observations(&seen, Some(other.coarse.scale), other.stop),
+            coarse: Solver::coarse_observations(
+                &seen,
+                other.near_to,
+                Some(other.coarse.scale),
+                other.stop,
+            ),
             coarse_sees: OnceLock::new(),
             seen,
             occluder: &self.occluder,

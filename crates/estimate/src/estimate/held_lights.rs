@@ -1,0 +1,85 @@
+//! Lights that have been found and are held, to see what else explains views under them.
+
+use std::collections::BTreeMap;
+
+use super::cells::Cell;
+use super::fast::{Fit, Solver};
+use super::held_out::{Left, in_noise, left_under};
+use super::observations::Observations;
+use rekindle_scene::reflectance::Brdf;
+
+/// Lights that have been found and are held.
+pub struct HeldLights {
+    /// What they are on.
+    pub cells: Vec<Cell>,
+    /// RGB, in units of the observations' scale.
+    pub radiance: Vec<[f32; 3]>,
+    /// The lobe that they are found with.
+    pub brdf: Brdf,
+}
+
+impl HeldLights {
+    /// A fit's lights, on cells that are as coarse as its lobe allows.
+    pub fn of(solver: &Solver<'_>, fit: &Fit) -> Self {
+        let pyramid = solver.pyramid;
+        let finest = pyramid.finest();
+        let fits = |level: u8| pyramid.spacing(level) < fit.brdf.sigma;
+        let level = (0..=finest).find(|&level| fits(level)).unwrap_or(finest);
+        let mut flux: BTreeMap<Cell, [f32; 3]> = BTreeMap::new();
+        for (node, radiance) in fit.nodes.iter().enumerate() {
+            if radiance.iter().all(|&v| v <= 0.0) {
+                continue;
+            }
+            let mut cell = Cell {
+                level: finest,
+                node: node as u32,
+            };
+            while cell.level > level {
+                cell = pyramid.parent(cell);
+            }
+            let sum = flux.entry(cell).or_default();
+            for (sum, v) in sum.iter_mut().zip(radiance) {
+                *sum += v * solver.grid.solid_angle / solver.coarse.scale;
+            }
+        }
+        let cells: Vec<Cell> = flux.keys().copied().collect();
+        let angles = pyramid.geometry(&cells).solid_angles;
+        let radiance = flux
+            .values()
+            .zip(angles)
+            .map(|(f, angle)| f.map(|f| f / angle));
+        Self {
+            radiance: radiance.collect(),
+            cells,
+            brdf: fit.brdf,
+        }
+    }
+
+    /// Points at which they could show.
+    pub fn points(&self, solver: &Solver<'_>, limit: usize) -> Observations {
+        let mut around = self.cells.clone();
+        while around.first().is_some_and(|cell| cell.level > 0) {
+            for cell in &mut around {
+                *cell = solver.pyramid.parent(*cell);
+            }
+        }
+        around.sort_unstable();
+        around.dedup();
+        let directions = solver.pyramid.geometry(&around).directions;
+        solver.points_showing(&directions, &self.brdf, limit)
+    }
+
+    /// What is left at each of some points in the views that `is_out` leaves out, where noise is of that size.
+    pub fn left_out(
+        &self,
+        solver: &Solver<'_>,
+        points: &Observations,
+        noise: f32,
+        is_out: impl Fn(usize) -> bool,
+    ) -> Vec<Left> {
+        let design = solver.shadowed_design(points, &self.cells, &self.brdf);
+        let units = in_noise(&design, noise);
+        let lit = (self.brdf, &self.radiance[..]);
+        left_under(&design, &self.cells, lit, &units, is_out)
+    }
+}
