@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::cells::Cell;
-use super::fast::{Fit, Solver};
+use super::fast::Solver;
 use super::held_out::{Left, in_noise, left_under};
 use super::observations::Observations;
 use rekindle_scene::reflectance::Brdf;
@@ -19,14 +19,14 @@ pub struct HeldLights {
 }
 
 impl HeldLights {
-    /// A fit's lights, on cells that are as coarse as its lobe allows.
-    pub fn of(solver: &Solver<'_>, fit: &Fit) -> Self {
+    /// Lights of a radiance per node, in the capture's units, on cells that are as coarse as a lobe allows.
+    pub fn of(solver: &Solver<'_>, brdf: Brdf, nodes: &[[f32; 3]]) -> Self {
         let pyramid = solver.pyramid;
         let finest = pyramid.finest();
-        let fits = |level: u8| pyramid.spacing(level) < fit.brdf.sigma;
+        let fits = |level: u8| pyramid.spacing(level) < brdf.sigma;
         let level = (0..=finest).find(|&level| fits(level)).unwrap_or(finest);
         let mut flux: BTreeMap<Cell, [f32; 3]> = BTreeMap::new();
-        for (node, radiance) in fit.nodes.iter().enumerate() {
+        for (node, radiance) in nodes.iter().enumerate() {
             if radiance.iter().all(|&v| v <= 0.0) {
                 continue;
             }
@@ -51,7 +51,7 @@ impl HeldLights {
         Self {
             radiance: radiance.collect(),
             cells,
-            brdf: fit.brdf,
+            brdf,
         }
     }
 

@@ -12,6 +12,7 @@ use std::collections::BTreeSet;
 
 use glam::Vec3;
 
+use super::SpecularChoice;
 use super::below::AllAround;
 use super::cells::Cell;
 use super::course::{Ending, choose_near};
@@ -22,7 +23,6 @@ use super::highlights;
 use super::observer::{Stopped, go_on};
 use super::shading::LightByShading;
 use super::state::ROUGH;
-use super::{SpecularChoice, diagnose};
 use rekindle_base::math::ranks::SURE;
 use rekindle_scene::hemisphere::{HemisphereGrid, Lamp, find_lamps};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
@@ -61,31 +61,29 @@ pub fn found(
     if watch.observer.enough() || !shows_gloss(coarse.left_out(&parted)) {
         return Ok(None);
     }
-    let fit = parted.fine_fit(&coarse.state, watch)?;
-    let (grid, by_shading) = light.nodes();
-    let mut tried = lights(&grid, &fit.nodes, &by_shading);
-    if diagnose::misfit(&fit.misfit).is_some() {
-        // Where normals are off, lights are scattered.
-        tried.retain(|(_, are_placed)| !are_placed);
+    let told = (coarse.state.brdf, Some(&parts));
+    let nodes = parted.nodes(&coarse.state);
+    // Single nodes are not worth finding where nothing comes out better.
+    let judged = judged(&whole, told, light, &nodes);
+    if judged.iter().all(|(left, _)| gain(left) <= 0.0) {
+        return Ok(None);
     }
-    let with = |(nodes, _)| Fit {
-        nodes,
-        ..fit.clone()
-    };
-    let tried: Vec<Fit> = tried.into_iter().map(with).collect();
-    let judged = left_out(&whole, &tried).into_iter().zip(tried);
-    let left = |(left, _): &(Vec<Left>, Fit)| left.iter().map(|left| left.lit).sum::<f64>();
-    let best = judged.min_by(|a, b| left(a).total_cmp(&left(b)));
+    let fit = parted.fine_fit(&coarse.state, watch)?;
+    let told = (fit.brdf, fit.parts.as_ref());
+    let left = |(left, _): &Judged| left.iter().map(|left| left.lit).sum::<f64>();
+    let best = self::judged(&whole, told, light, &fit.nodes)
+        .into_iter()
+        .min_by(|a, b| left(a).total_cmp(&left(b)));
     Ok(best
         .filter(|(left, _)| gain(left) > SURE)
-        .map(|(_, fit)| Ending {
-            fit,
+        .map(|(_, nodes)| Ending {
+            fit: Fit { nodes, ..fit },
             because,
             refined: None,
             suspicion: None,
             bound: None,
             allowed: [1.0; 2],
-            grid,
+            grid: around.into_grid(),
             is_confirmed: true,
             is_by_shading: true,
         }))
@@ -108,23 +106,28 @@ fn glossy_parts(
     Ok(parts.map(|(parts, main)| (parts, main.roughness * sigma)))
 }
 
-/// What gloss under the lights of each of some fits leaves of each view where it has no say in diffuse colours, at points that could show
-/// any of them.
-fn left_out(whole: &Solver<'_>, fits: &[Fit]) -> Vec<Vec<Left>> {
-    let Some(first) = fits.first() else {
-        return Vec::new();
-    };
-    let parted = first.parts.as_ref().map(|parts| whole.parted(parts));
+/// What is left at some points, and radiance per node of the lights that leave it.
+type Judged = (Vec<Left>, Vec<[f32; 3]>);
+
+/// Lights that may be by what highlights say of them (see [`lights`]), and what a lobe on some parts leaves under each of every view where
+/// that has no say in diffuse colours, at points that could show any of them.
+fn judged(
+    whole: &Solver<'_>,
+    (brdf, parts): (Brdf, Option<&GlossParts>),
+    light: &LightByShading,
+    by_highlights: &[[f32; 3]],
+) -> Vec<Judged> {
+    let parted = parts.map(|parts| whole.parted(parts));
     let solver = parted.as_ref().unwrap_or(whole);
-    let lights: Vec<HeldLights> = fits.iter().map(|fit| HeldLights::of(solver, fit)).collect();
-    let cells = lights
-        .iter()
-        .flat_map(|lights| lights.cells.iter().copied());
+    let tried = lights(whole.grid, by_highlights, &light.nodes().1);
+    let held = |nodes: &Vec<[f32; 3]>| HeldLights::of(solver, brdf, nodes);
+    let held: Vec<HeldLights> = tried.iter().map(held).collect();
+    let cells = held.iter().flat_map(|lights| lights.cells.iter().copied());
     let cells: BTreeSet<Cell> = cells.collect();
     let directions = whole.pyramid.geometry(&Vec::from_iter(cells)).directions;
-    let points = solver.points_showing(&directions, &first.brdf, POINTS);
+    let points = solver.points_showing(&directions, &brdf, POINTS);
     let noise = common_noise(&solver.design(&points, &[]));
-    let of_lights = |lights: &HeldLights| {
+    let left = |lights: &HeldLights| {
         let mut all = vec![Left::default(); points.points.len()];
         for view in 0..solver.seen.views.len() {
             let left = lights.left_out(solver, &points, noise, |other| other == view);
@@ -134,7 +137,7 @@ fn left_out(whole: &Solver<'_>, fits: &[Fit]) -> Vec<Vec<Left>> {
         }
         all
     };
-    lights.iter().map(of_lights).collect()
+    held.iter().map(left).zip(tried).collect()
 }
 
 /// Lights that may be, radiance per node: where the highlights say and as strong as the shading says; the shading's as they are; and these
@@ -144,7 +147,7 @@ fn lights(
     grid: &HemisphereGrid,
     by_highlights: &[[f32; 3]],
     by_shading: &[[f32; 3]],
-) -> Vec<(Vec<[f32; 3]>, bool)> {
+) -> Vec<Vec<[f32; 3]>> {
     let shaded = find_lamps(grid, by_shading);
     let shown = shown(grid, by_highlights, &shaded);
     let sum = |lamps: &Vec<Lamp>| lamps.iter().map(|lamp| Vec3::from(lamp.flux)).sum();
@@ -172,18 +175,19 @@ fn lights(
         if let Some(node) = grid.nearest(lamp.direction) {
             gathered[node] = (flux / grid.solid_angle).to_array();
         }
-        if shown.is_empty() {
+        // Where normals are off, one light is shown as several.
+        let [one] = &shown[..] else {
             continue;
-        }
+        };
         for &node in &lamp.nodes {
             placed[node as usize] = [0.0; 3];
         }
         let strength = flux.element_sum() / sum.element_sum();
-        for &node in shown.iter().flat_map(|lamp| &lamp.nodes) {
+        for &node in &one.nodes {
             placed[node as usize] = by_highlights[node as usize].map(|v| strength * v);
         }
     }
-    vec![(placed, true), (as_they_are, false), (gathered, false)]
+    vec![placed, as_they_are, gathered]
 }
 
 /// The lights that highlights show of each that the shading tells of.
@@ -234,11 +238,25 @@ mod tests {
         };
         let lit_nodes = |nodes: &[[f32; 3]]| nodes.iter().filter(|l| l[1] > 0.0).count();
         assert_eq!(tried.len(), 3);
-        for (nodes, are_placed) in &tried {
-            assert!(has(nodes, if *are_placed { beside } else { one }, 10.0));
+        for (nodes, at) in tried.iter().zip([beside, one, one]) {
+            assert!(has(nodes, at, 10.0));
             assert!(has(nodes, other, 5.0), "no highlight tells of it");
             assert_eq!(lit_nodes(nodes), 2);
         }
+    }
+
+    #[test]
+    fn a_light_that_highlights_show_as_several_stands_where_the_shading_says() {
+        let grid = grid();
+        let at = Vec3::new(-0.6, 0.6, 0.5);
+        let [left, right] = [-0.1, 0.1].map(|x| (at + Vec3::new(x, 0.0, 0.0), 5.0));
+        let tried = lights(
+            &grid,
+            &lit(&grid, &[left, right]),
+            &lit(&grid, &[(at, 2.0)]),
+        );
+        assert_eq!(tried[0], tried[1]);
+        assert_eq!(find_lamps(&grid, &tried[0]).len(), 1);
     }
 
     #[test]

@@ -27,7 +27,7 @@ impl Relief {
         fit: &Fit,
         watch: &mut Watch<'_>,
     ) -> Result<bool, Stopped> {
-        let light = HeldLights::of(solver, fit);
+        let light = HeldLights::of(solver, fit.brdf, &fit.nodes);
         let start = self.heights.clone();
         let is_proven = start.iter().any(|&height| height != 0.0);
         let stiffness = if is_proven {
