@@ -803,15 +803,12 @@ impl Solver<'_> {
             residual_rms: state.rms() * scale,
         };
         watch.iterations.push(iteration);
-        go_on(watch.observer.iteration(&iteration, &|| self.nodes(state)))
-    }
-
-    /// Radiance per node of a state's lights, RGB, in the capture's units.
-    pub fn nodes(&self, state: &State<'_>) -> Vec<[f32; 3]> {
-        let mut nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
-        for value in nodes.iter_mut().flatten() {
-            *value *= self.coarse.scale;
-        }
-        nodes
+        go_on(watch.observer.iteration(&iteration, &|| {
+            let mut nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
+            for value in nodes.iter_mut().flatten() {
+                *value *= scale;
+            }
+            nodes
+        }))
     }
 }

@@ -69,17 +69,24 @@ impl HeldLights {
         solver.points_showing(&directions, &self.brdf, limit)
     }
 
-    /// What is left at each of some points in the views that `is_out` leaves out, where noise is of that size.
+    /// What is left at each of some points in the views that are out, where noise is of that size, summed over turns in which others are.
     pub fn left_out(
         &self,
         solver: &Solver<'_>,
         points: &Observations,
         noise: f32,
-        is_out: impl Fn(usize) -> bool,
+        turns: impl IntoIterator<Item = impl Fn(usize) -> bool>,
     ) -> Vec<Left> {
         let design = solver.shadowed_design(points, &self.cells, &self.brdf);
         let units = in_noise(&design, noise);
         let lit = (self.brdf, &self.radiance[..]);
-        left_under(&design, &self.cells, lit, &units, is_out)
+        let mut all = vec![Left::default(); points.points.len()];
+        for is_out in turns {
+            let left = left_under(&design, &self.cells, lit, &units, is_out);
+            for (all, left) in all.iter_mut().zip(left) {
+                *all += left;
+            }
+        }
+        all
     }
 }

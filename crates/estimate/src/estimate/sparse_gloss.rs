@@ -61,17 +61,10 @@ pub fn found(
     if watch.observer.enough() || !shows_gloss(coarse.left_out(&parted)) {
         return Ok(None);
     }
-    let told = (coarse.state.brdf, Some(&parts));
-    let nodes = parted.nodes(&coarse.state);
-    // Single nodes are not worth finding where nothing comes out better.
-    let judged = judged(&whole, told, light, &nodes);
-    if judged.iter().all(|(left, _)| gain(left) <= 0.0) {
-        return Ok(None);
-    }
     let fit = parted.fine_fit(&coarse.state, watch)?;
     let told = (fit.brdf, fit.parts.as_ref());
     let left = |(left, _): &Judged| left.iter().map(|left| left.lit).sum::<f64>();
-    let best = self::judged(&whole, told, light, &fit.nodes)
+    let best = judged(&whole, told, light, &fit.nodes)
         .into_iter()
         .min_by(|a, b| left(a).total_cmp(&left(b)));
     Ok(best
@@ -128,14 +121,8 @@ fn judged(
     let points = solver.points_showing(&directions, &brdf, POINTS);
     let noise = common_noise(&solver.design(&points, &[]));
     let left = |lights: &HeldLights| {
-        let mut all = vec![Left::default(); points.points.len()];
-        for view in 0..solver.seen.views.len() {
-            let left = lights.left_out(solver, &points, noise, |other| other == view);
-            for (all, left) in all.iter_mut().zip(left) {
-                *all += left;
-            }
-        }
-        all
+        let turns = (0..solver.seen.views.len()).map(|view| move |other| other == view);
+        lights.left_out(solver, &points, noise, turns)
     };
     held.iter().map(left).zip(tried).collect()
 }

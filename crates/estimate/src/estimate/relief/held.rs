@@ -103,7 +103,7 @@ impl Relief {
         let noise = common_noise(&solver.design(points, &[]));
         let mut points = points.clone();
         self.turn(&mut points);
-        let left = light.left_out(solver, &points, noise, is_out);
+        let left = light.left_out(solver, &points, noise, [is_out]);
         left.iter().map(|left| left.lit).collect()
     }
 }
