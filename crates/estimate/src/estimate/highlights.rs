@@ -24,7 +24,8 @@ const POINTS: usize = 60_000;
 const FREQUENCY: u32 = 22;
 const RADIUS: f32 = 0.07;
 /// How much more than the middle of its point's a row has to show, as a part of that; each is tried.
-const OUTSTANDING: [f32; 5] = [8.0, 4.0, 2.0, 1.0, 0.5];
+const OUTSTANDING: [f32; TRIED] = [8.0, 4.0, 2.0, 1.0, 0.5];
+const TRIED: usize = 5;
 /// And how much to be called a highlight once it is known where they point.
 const HIGHLIGHT: f32 = 1.0;
 /// Part of that by which it may be off: its image detail.
@@ -54,11 +55,11 @@ struct Ballot {
     outstanding: f32,
 }
 
-/// What the rows of a place say in a cap: how often one of them would stand out by accident, and whether one does.
+/// What the rows of a place say in a cap: how often one of them would stand out by accident, and whether one does, by each of [`OUTSTANDING`].
 #[derive(Clone, Copy, Default)]
 struct Place {
-    rate: f64,
-    stands_out: bool,
+    rates: [f64; TRIED],
+    stands_out: [bool; TRIED],
 }
 
 /// A cap, with the logarithm of the chance of so many places that speak for it.
@@ -76,9 +77,8 @@ pub fn directions(solver: &Solver<'_>) -> Vec<Vec3> {
     let allowed = (RISK / (grid.directions.len() * OUTSTANDING.len()) as f64).ln();
     let mut directions: Vec<Vec3> = Vec::new();
     // What stands out most is nearest to where the light is mirrored.
-    for least in OUTSTANDING {
-        let caps = caps(&grid, &ballots, least).into_iter();
-        for cap in caps.take_while(|cap| cap.log_chance < allowed) {
+    for caps in caps(&grid, &ballots) {
+        for cap in caps.into_iter().take_while(|cap| cap.log_chance < allowed) {
             let direction = grid.directions[cap.node];
             let is_apart = |other: &Vec3| other.dot(direction) < (APART * RADIUS).cos();
             if directions.iter().all(is_apart) && directions.len() < MOST {
@@ -152,36 +152,44 @@ fn ballots(observations: &Observations, grid: &HemisphereGrid) -> Vec<Ballot> {
     observations.points.iter().flat_map(of_point).collect()
 }
 
-/// The caps about all nodes of a grid by what rows say that stand out by more than `least`, those that are least by chance first.
-fn caps(grid: &HemisphereGrid, ballots: &[Ballot], least: f32) -> Vec<Cap> {
-    let mut classes: BTreeMap<usize, (f64, f64)> = BTreeMap::new();
+/// The caps about all nodes of a grid by rows that stand out by each of [`OUTSTANDING`], those that are least by chance first.
+fn caps(grid: &HemisphereGrid, ballots: &[Ballot]) -> [Vec<Cap>; TRIED] {
+    let stands_out = |ballot: &Ballot| OUTSTANDING.map(|least| ballot.outstanding > least);
+    let mut classes: BTreeMap<usize, ([f64; TRIED], f64)> = BTreeMap::new();
     for ballot in ballots {
         let (standing, all) = classes.entry(ballot.class).or_default();
-        *standing += f64::from(u8::from(ballot.outstanding > least));
+        for (standing, stands_out) in standing.iter_mut().zip(stands_out(ballot)) {
+            *standing += f64::from(u8::from(stands_out));
+        }
         *all += 1.0;
     }
     let mut caps = vec![BTreeMap::<_, Place>::new(); grid.directions.len()];
     for ballot in ballots {
         let (standing, all) = classes[&ballot.class];
-        let rate = -(-standing / all).ln_1p();
+        let rates = standing.map(|standing| -(-standing / all).ln_1p());
+        let stands_out = stands_out(ballot);
         for node in within(grid, ballot.towards) {
             let place = caps[node].entry(ballot.place).or_default();
-            place.rate += rate;
-            place.stands_out |= ballot.outstanding > least;
+            for k in 0..TRIED {
+                place.rates[k] += rates[k];
+                place.stands_out[k] |= stands_out[k];
+            }
         }
     }
-    let cap = |(node, places): (usize, BTreeMap<_, Place>)| {
-        let chance = |place: &Place| -(-place.rate).exp_m1();
-        let expected: f64 = places.values().map(chance).sum();
-        let count = places.values().filter(|place| place.stands_out).count();
-        Cap {
-            node,
-            log_chance: log_tail(count as f64, expected),
-        }
-    };
-    let mut caps: Vec<Cap> = caps.into_iter().enumerate().map(cap).collect();
-    caps.sort_by(|a, b| a.log_chance.total_cmp(&b.log_chance));
-    caps
+    std::array::from_fn(|k| {
+        let cap = |(node, places): (usize, &BTreeMap<_, Place>)| {
+            let chance = |place: &Place| -(-place.rates[k]).exp_m1();
+            let expected: f64 = places.values().map(chance).sum();
+            let count = places.values().filter(|place| place.stands_out[k]).count();
+            Cap {
+                node,
+                log_chance: log_tail(count as f64, expected),
+            }
+        };
+        let mut caps: Vec<Cap> = caps.iter().enumerate().map(cap).collect();
+        caps.sort_by(|a, b| a.log_chance.total_cmp(&b.log_chance));
+        caps
+    })
 }
 
 /// Nodes within [`RADIUS`] of a direction; none below the horizon of a hemisphere.

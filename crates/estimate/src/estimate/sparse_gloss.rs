@@ -9,6 +9,7 @@
 //! all. So lights stand where the highlights say, are as strong as the shading says, and those that no highlight tells of are the shading's.
 
 use std::collections::BTreeSet;
+use std::sync::atomic::Ordering;
 
 use glam::Vec3;
 
@@ -121,7 +122,9 @@ fn judged(
     let points = solver.points_showing(&directions, &brdf, POINTS);
     let noise = common_noise(&solver.design(&points, &[]));
     let left = |lights: &HeldLights| {
-        let turns = (0..solver.seen.views.len()).map(|view| move |other| other == view);
+        let views =
+            (0..solver.seen.views.len()).take_while(|_| !solver.stop.load(Ordering::Relaxed));
+        let turns = views.map(|view| move |other| other == view);
         lights.left_out(solver, &points, noise, turns)
     };
     held.iter().map(left).zip(tried).collect()
@@ -146,10 +149,10 @@ fn lights(
             squares += Vec3::from(lamp.flux).powf(2.0);
         }
     }
-    if products.min_element() <= 0.0 {
+    if products.max_element() <= 0.0 {
         return Vec::new();
     }
-    let factor = products / squares;
+    let factor = products / squares.max(Vec3::splat(f32::MIN_POSITIVE));
     let as_they_are: Vec<[f32; 3]> = (by_shading.iter())
         .map(|&radiance| (factor * Vec3::from(radiance)).to_array())
         .collect();
