@@ -29,11 +29,6 @@ impl AllAround {
         }
     }
 
-    /// The nodes.
-    pub fn into_grid(self) -> HemisphereGrid {
-        self.grid
-    }
-
     /// The same solver with light from everywhere.
     pub fn solver<'b>(&'b self, other: &'b Solver<'_>) -> Solver<'b> {
         Solver {

@@ -219,7 +219,8 @@ pub struct Watch<'w> {
     pub observer: &'w mut dyn Observer,
 }
 
-/// Points spread over everything seen that could show the light that is sought, about `count`; `scale` is the radiance that counts as 1, if it has been chosen already.
+/// Points spread over everything seen that could show the light that is sought, about `count`; `scale` is the radiance that counts as 1, if
+/// it has been chosen already.
 fn spread_points(
     seen: &Seen<'_>,
     near_to: Option<Near<'_>>,
@@ -453,9 +454,7 @@ impl Solver<'_> {
         let is_even = self.first.is_some_and(|first| first.parts.is_none());
         let is_stated = self.sigma.is_some();
         let found = if rounds > 0 && !is_even && !is_stated && !self.is_provisional() {
-            let more = self.gloss_parts(&state, [SURE]);
-            let is_focused = self.near_to.is_some_and(|near| near.is_focused);
-            more.or_else(|| is_focused.then(|| self.glossy_parts(&state))?)
+            self.gloss_parts(&state, [SURE])
         } else {
             None
         };

@@ -144,6 +144,15 @@ const NO_GLOSS: Kind = Kind {
     height: 0.0,
 };
 
+/// None, and the lobe as it is.
+const GLOSSY_OR_NOT: [Kind; 2] = [
+    NO_GLOSS,
+    Kind {
+        height: 1.0,
+        ..NO_GLOSS
+    },
+];
+
 impl Kind {
     fn left(self, evidence: &Evidence) -> f64 {
         evidence.left(self.roughness, self.height)
@@ -193,7 +202,8 @@ struct Lit<'a> {
 impl Solver<'_> {
     /// The parts of the surface whose gloss differs under the lights of a state, if there are any, and the gloss of the part that
     /// is to be the main one, which the parts' are multiples of. A further gloss has to explain views that had no say in it better by more than
-    /// some standard deviations of chance: the first of `beyond` that finds any.
+    /// some standard deviations of chance: the first of `beyond` that finds any. Where light is sought on few parts that show it, those that
+    /// show none are told by nothing else.
     pub fn gloss_parts(
         &self,
         state: &State<'_>,
@@ -204,7 +214,12 @@ impl Solver<'_> {
                 let kinds = board.kinds_beyond(chance, self.stop);
                 board.parted(lit, &kinds)
             };
-            beyond.into_iter().find_map(of_chance)
+            let found = beyond.into_iter().find_map(of_chance);
+            let is_focused = self.near_to.is_some_and(|near| near.is_focused);
+            match found {
+                None if is_focused => board.parted(lit, &GLOSSY_OR_NOT),
+                found => found,
+            }
         })
     }
 
@@ -218,14 +233,7 @@ impl Solver<'_> {
 
     /// The parts of the surface that show the lobe of a state under its lights, and those that show none, with the gloss of the former.
     pub fn glossy_parts(&self, state: &State<'_>) -> Option<(GlossParts, Gloss)> {
-        let kinds = [
-            NO_GLOSS,
-            Kind {
-                height: 1.0,
-                ..NO_GLOSS
-            },
-        ];
-        self.on_board(state, |board, lit| board.parted(lit, &kinds))
+        self.on_board(state, |board, lit| board.parted(lit, &GLOSSY_OR_NOT))
     }
 
     /// Something done with what points say of their gloss under the lights of a state.

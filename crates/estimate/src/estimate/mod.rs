@@ -563,10 +563,9 @@ fn run(
         Outcome::Nothing(reason, by_shading) => {
             result.diagnostics.warnings.push(reason);
             if let Some(light) = by_shading {
-                let (grid, nodes) = light.nodes();
                 let said = diagnose::BY_SHADING.to_owned();
                 result.diagnostics.warnings.push(said);
-                (result.grid, result.radiance) = (grid, nodes);
+                (result.grid, result.radiance) = (light.grid().clone(), light.nodes());
             }
         }
         Outcome::Found(ending) => {

@@ -125,10 +125,14 @@ impl LightByShading {
         })
     }
 
-    /// The nodes, with the radiance of each, RGB.
-    pub fn nodes(&self) -> (HemisphereGrid, Vec<[f32; 3]>) {
-        let nodes = self.pyramid.to_nodes(&self.cells, &self.radiance);
-        (self.grid.clone(), nodes)
+    /// The nodes, all around.
+    pub fn grid(&self) -> &HemisphereGrid {
+        &self.grid
+    }
+
+    /// Radiance per node, RGB.
+    pub fn nodes(&self) -> Vec<[f32; 3]> {
+        self.pyramid.to_nodes(&self.cells, &self.radiance)
     }
 
     /// Whether other lights make neighbouring albedos differ by no more than this one does, in most parts of the surface: what is fitted to

@@ -77,7 +77,7 @@ pub fn found(
             suspicion: None,
             bound: None,
             allowed: [1.0; 2],
-            grid: around.into_grid(),
+            grid: light.grid().clone(),
             is_confirmed: true,
             is_by_shading: true,
         }))
@@ -113,7 +113,7 @@ fn judged(
 ) -> Vec<Judged> {
     let parted = parts.map(|parts| whole.parted(parts));
     let solver = parted.as_ref().unwrap_or(whole);
-    let tried = lights(whole.grid, by_highlights, &light.nodes().1);
+    let tried = lights(whole.grid, by_highlights, &light.nodes());
     let held = |nodes: &Vec<[f32; 3]>| HeldLights::of(solver, brdf, nodes);
     let held: Vec<HeldLights> = tried.iter().map(held).collect();
     let cells = held.iter().flat_map(|lights| lights.cells.iter().copied());
