@@ -3,7 +3,7 @@
 //! Camera space has OpenGL axes: +X right, +Y up, looking along −Z. Pixel (0, 0) is the top-left pixel and
 //! its centre lies at (0.5, 0.5). Distances are in the mesh's units.
 
-use glam::{DAffine3, DVec2, DVec3};
+use glam::{DAffine3, DMat2, DVec2, DVec3};
 
 /// Radial and tangential lens distortion, applied to normalised image coordinates `(x, y) = (X/Z, Y/Z)`
 /// with y downwards: the OPENCV model (k1, k2, p1, p2), extended by the radial k3 and k4; or, for a fisheye, the
@@ -53,17 +53,7 @@ impl Distortion {
                 u * (self.fisheye_radius(r.atan()) / r)
             };
         }
-        let r2 = u.length_squared();
-        let [k1, k2, k3, k4] = self.k;
-        let [k5, k6, k7] = self.denominator;
-        let radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4))))
-            / (1.0 + r2 * (k5 + r2 * (k6 + r2 * k7)));
-        let [p1, p2] = self.p;
-        let xy = 2.0 * u.x * u.y;
-        DVec2::new(
-            u.x * radial + p1 * xy + p2 * (r2 + 2.0 * u.x * u.x),
-            u.y * radial + p2 * xy + p1 * (r2 + 2.0 * u.y * u.y),
-        )
+        self.apply_with_slopes(u).0
     }
 
     /// Whether the image still grows outwards at undistorted coordinates `u`. Beyond, a polynomial fitted to the image
@@ -115,9 +105,8 @@ impl Distortion {
         d * (angle.tan() / r)
     }
 
-    /// Undistorted coordinates of distorted ones, by Newton's method with a numerical Jacobian.
+    /// Undistorted coordinates of distorted ones, by Newton's method.
     pub fn remove(&self, d: DVec2) -> DVec2 {
-        const STEP: f64 = 1e-6;
         if self.is_none() {
             return d;
         }
@@ -126,22 +115,47 @@ impl Distortion {
         }
         let mut u = d;
         for _ in 0..20 {
-            let f = self.apply(u) - d;
-            if f.length_squared() < 1e-24 {
+            let (at, slopes) = self.apply_with_slopes(u);
+            let off = at - d;
+            if off.length_squared() < 1e-24 || slopes.determinant().abs() < 1e-9 {
                 break;
             }
-            let along_x = (self.apply(u + DVec2::new(STEP, 0.0)) - d - f) / STEP;
-            let along_y = (self.apply(u + DVec2::new(0.0, STEP)) - d - f) / STEP;
-            let det = along_x.x * along_y.y - along_y.x * along_x.y;
-            if det.abs() < 1e-9 {
-                break;
-            }
-            u -= DVec2::new(
-                (f.x * along_y.y - along_y.x * f.y) / det,
-                (along_x.x * f.y - f.x * along_x.y) / det,
-            );
+            u -= slopes.inverse() * off;
         }
         u
+    }
+
+    /// [`Distortion::apply`] where the lens is no fisheye, with the derivatives by both coordinates.
+    #[inline]
+    fn apply_with_slopes(&self, u: DVec2) -> (DVec2, DMat2) {
+        let r2 = u.length_squared();
+        let [k1, k2, k3, k4] = self.k;
+        let [k5, k6, k7] = self.denominator;
+        let top = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
+        let bottom = 1.0 + r2 * (k5 + r2 * (k6 + r2 * k7));
+        let radial = top / bottom;
+        // By r².
+        let top_slope = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + r2 * 4.0 * k4));
+        let bottom_slope = k5 + r2 * (2.0 * k6 + r2 * 3.0 * k7);
+        let slope = 2.0 * (top_slope - radial * bottom_slope) / bottom;
+        let [p1, p2] = self.p;
+        let xy = 2.0 * u.x * u.y;
+        let at = DVec2::new(
+            u.x * radial + p1 * xy + p2 * (r2 + 2.0 * u.x * u.x),
+            u.y * radial + p2 * xy + p1 * (r2 + 2.0 * u.y * u.y),
+        );
+        let across = u.x * u.y * slope + 2.0 * (p1 * u.x + p2 * u.y);
+        let slopes = DMat2::from_cols(
+            DVec2::new(
+                radial + u.x * u.x * slope + 2.0 * p1 * u.y + 6.0 * p2 * u.x,
+                across,
+            ),
+            DVec2::new(
+                across,
+                radial + u.y * u.y * slope + 2.0 * p2 * u.x + 6.0 * p1 * u.y,
+            ),
+        );
+        (at, slopes)
     }
 }
 
@@ -228,5 +242,32 @@ impl Camera {
         self.world_from_camera
             .transform_vector3(DVec3::new(u.x, -u.y, -1.0))
             .normalize_or_zero()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slopes_of_a_lens_agree_with_finite_differences() {
+        let lens = Distortion {
+            k: [-0.3, 0.12, 0.02, -0.01],
+            p: [0.004, -0.003],
+            denominator: [0.02, -0.01, 0.005],
+            fisheye: false,
+        };
+        for u in [DVec2::ZERO, DVec2::new(0.5, -0.3), DVec2::new(-0.2, 0.7)] {
+            let (at, slopes) = lens.apply_with_slopes(u);
+            assert_eq!(at, lens.apply(u));
+            for (axis, slope) in [(DVec2::X, slopes.x_axis), (DVec2::Y, slopes.y_axis)] {
+                let step = 1e-5 * axis;
+                let difference = (lens.apply(u + step) - lens.apply(u - step)) / 2e-5;
+                assert!(
+                    (difference - slope).length() < 1e-9,
+                    "{difference} for {slope}"
+                );
+            }
+        }
     }
 }
