@@ -292,7 +292,8 @@ fn looks(
         shortcuts: &shortcuts,
     };
     let motions = capture.motions();
-    let first_gloss = gloss(&found, mesh, &measured.atlas, minimum);
+    let gloss_of = |found: &Estimate| gloss(found, mesh, &measured.atlas, minimum);
+    let first_gloss = motions.as_ref().and_then(|_| gloss_of(&found));
     let first_gloss = first_gloss.as_ref();
     let self_lit = match &motions {
         Some(motions) => SelfLit::new(
@@ -323,7 +324,7 @@ fn looks(
     clock.lap("estimate");
 
     let lamps = name_lamps(&found, known_light.is_some());
-    let gloss = gloss(&found, mesh, &measured.atlas, minimum);
+    let gloss = gloss_of(&found);
     let light = if let Some(motions) = &motions {
         Light::Turning(lightings(&found, motions), &sent)
     } else {

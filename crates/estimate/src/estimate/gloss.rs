@@ -12,19 +12,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::Vec3;
 use rayon::prelude::*;
-use rstar::RTree;
-use rstar::primitives::GeomWithData;
 
 use super::cells::Cell;
 use super::design::{Design, Prediction};
 use super::fast::Solver;
 use super::held_out::CHANCE;
+use super::neighbours::{Bonds, Neighbours};
 use super::observations::{Observations, Point, Row, Sampling, Seen};
 use super::state::State;
 use super::weights::{deviation, eliminate, log_diffuse, magnitude, median, shares};
 use rekindle_base::math::ranks::{placed_signed_ranks, signed_ranks};
 use rekindle_scene::reflectance::{Brdf, Gloss};
-use rekindle_scene::surface::{GlossParts, PartPoint, likeness};
+use rekindle_scene::surface::{GlossParts, PartPoint};
 
 /// Pixels looked at for points.
 const CANDIDATES: usize = 24_000;
@@ -34,8 +33,6 @@ const ROUGHNESSES: [f32; 11] = [
 ];
 /// Error of a highlight as a part of it, by what is not known of lights and normals.
 const HIGHLIGHT_ERROR: f32 = 0.1;
-/// Points that a point is joined to.
-const NEIGHBOURS: usize = 8;
 /// Points whose evidence is pooled for candidates of glosses.
 const POOLED: usize = 24;
 /// Bond from which on it is.
@@ -61,8 +58,6 @@ pub const WORTH: f64 = 0.9;
 const HUBER: f32 = 1.345;
 /// Median of a chi-square of one degree of freedom.
 const MEDIAN_SQUARE: f32 = 0.455;
-/// Difference of neighbours' logarithms of radiance that says nothing.
-const LEAST_CONTRAST: f32 = 0.02;
 /// Heights of candidates, in quarters of an octave; the least is none.
 const LEAST_STEP: f64 = -20.0;
 const MOST_STEP: f64 = 20.0;
@@ -180,8 +175,7 @@ struct Board<'a> {
     folds: Vec<Fold>,
     /// Logarithm of each point's diffuse radiance.
     colours: Vec<Vec3>,
-    /// Each point's neighbours with the strength of their bond, from 0 to 1.
-    bonds: Vec<Vec<(u32, f32)>>,
+    bonds: Bonds,
     /// Difference of colours that weakens bonds.
     contrast: f32,
     /// Squared error per degree of freedom that the best lobe of a point leaves, typically.
@@ -457,7 +451,7 @@ impl<'a> Board<'a> {
         let folds = (0..turns).map(fold).collect();
         let shown = lit.design.predict_values(&lit.brdf, &lit.radiance);
         let colours = log_diffuse(observations, &lit.brdf, &lit.weights, &shown);
-        let (bonds, contrast) = bonds(observations, &colours);
+        let (bonds, contrast) = Neighbours::of(&observations.points).bonds(&colours);
         let left = |(point, evidence): (&Point, &Evidence)| {
             let left = evidence.best_kind().left(evidence);
             (left / (point.rows.len() - 1).max(1) as f64) as f32
@@ -658,7 +652,7 @@ impl<'a> Board<'a> {
         (0..evidence.len()).into_par_iter().map(pooled).collect()
     }
 
-    /// The part of each point by what all say.
+    /// The part of each point by what all say, of at most [`MOST`] kinds.
     fn walk(&self, kinds: &[Kind], evidence: &[Evidence]) -> Vec<usize> {
         let n = kinds.len();
         if n == 1 {
@@ -666,43 +660,37 @@ impl<'a> Board<'a> {
         }
         let told = evidence.iter().map(|own| self.verdict(kinds, own));
         let told: Vec<(usize, f32)> = told.collect();
-        let mut share = vec![0.0_f32; n];
+        let mut share = [0.0_f32; MOST];
         for &(kind, certain) in &told {
             share[kind] += certain;
         }
         let total = share.iter().sum::<f32>().max(f32::MIN_POSITIVE);
-        for share in &mut share {
-            *share /= total;
-        }
-        let mut likely = share.repeat(told.len());
-        let mut own = vec![0.0_f32; n];
-        for sweep in 0..SWEEPS {
-            for step in 0..told.len() {
-                // Forth and back, so that what is known travels far either way.
-                let i = if sweep % 2 == 0 {
-                    step
-                } else {
-                    told.len() - 1 - step
-                };
-                let (kind, certain) = told[i];
-                let mut weight = certain + PRIOR;
-                for (own, share) in own.iter_mut().zip(&share) {
-                    *own = PRIOR * share;
-                }
-                own[kind] += certain;
-                for &(near, bond) in &self.bonds[i] {
-                    weight += BOND * bond;
-                    for (own, other) in own.iter_mut().zip(&likely[near as usize * n..]) {
-                        *own += BOND * bond * other;
-                    }
-                }
-                for (likely, own) in likely[i * n..].iter_mut().zip(&own) {
-                    *likely = own / weight;
+        let share = share.map(|share| share / total);
+        let mut likely = vec![share; told.len()];
+        let mut asked = |i: usize| {
+            let (kind, certain) = told[i];
+            let mut weight = certain + PRIOR;
+            let mut own = share.map(|share| PRIOR * share);
+            own[kind] += certain;
+            for &(near, bond) in &self.bonds[i] {
+                weight += BOND * bond;
+                for (own, other) in own.iter_mut().zip(likely[near as usize]) {
+                    *own += BOND * bond * other;
                 }
             }
+            likely[i] = own.map(|own| own / weight);
+        };
+        for sweep in 0..SWEEPS {
+            // Forth and back, so that what is known travels far either way.
+            if sweep % 2 == 0 {
+                (0..told.len()).for_each(&mut asked);
+            } else {
+                (0..told.len()).rev().for_each(&mut asked);
+            }
         }
-        let most_likely = |p: &[f32]| (0..n).max_by(|&a, &b| p[a].total_cmp(&p[b])).unwrap_or(0);
-        likely.chunks_exact(n).map(most_likely).collect()
+        let most_likely =
+            |p: &[f32; MOST]| (0..n).max_by(|&a, &b| p[a].total_cmp(&p[b])).unwrap_or(0);
+        likely.iter().map(most_likely).collect()
     }
 
     /// The kind that some evidence is for, and how certain that is, from 0 to 1.
@@ -765,36 +753,6 @@ fn weights(observations: &Observations, noise: f32) -> Vec<f32> {
         }
     }
     weights
-}
-
-/// The nearest points of each that face the same side.
-pub fn beside(points: &[Point]) -> Vec<Vec<u32>> {
-    let placed = points.iter().enumerate();
-    let placed = placed.map(|(i, p)| GeomWithData::new(p.position.to_array(), i as u32));
-    let tree: RTree<GeomWithData<[f32; 3], u32>> = RTree::bulk_load(placed.collect());
-    let beside = |(i, point): (usize, &Point)| -> Vec<u32> {
-        tree.nearest_neighbor_iter(point.position.to_array())
-            .map(|near| near.data)
-            .filter(|&j| j as usize != i && points[j as usize].normal.dot(point.normal) > 0.0)
-            .take(NEIGHBOURS)
-            .collect()
-    };
-    points.par_iter().enumerate().map(beside).collect()
-}
-
-/// Who lies beside each point, with bonds that colours weaken, and the contrast that does.
-pub fn bonds(observations: &Observations, colours: &[Vec3]) -> (Vec<Vec<(u32, f32)>>, f32) {
-    let beside = beside(&observations.points);
-    let pairs = beside.iter().zip(colours);
-    let mut steps: Vec<f32> = pairs
-        .flat_map(|(near, own)| near.iter().map(|&j| own.distance(colours[j as usize])))
-        .collect();
-    let contrast = 2.0 * median(&mut steps).max(LEAST_CONTRAST);
-    let bonds = beside.into_iter().zip(colours).map(|(near, &own)| {
-        let bond = |j: u32| (j, likeness(contrast, own, colours[j as usize]));
-        near.into_iter().map(bond).collect()
-    });
-    (bonds.collect(), contrast)
 }
 
 #[cfg(test)]
@@ -871,7 +829,7 @@ mod tests {
             Fold { told, judging }
         };
         let colours = vec![Vec3::ZERO; all.len()];
-        let beside = |near: Vec<u32>| near.into_iter().map(|j| (j, 1.0)).collect();
+        let (bonds, _) = Neighbours::of(&observations.points).bonds(&colours);
         Board {
             observations,
             evidence: all
@@ -880,10 +838,7 @@ mod tests {
                 .collect(),
             folds: (0..FOLDS).map(fold).collect(),
             colours,
-            bonds: super::beside(&observations.points)
-                .into_iter()
-                .map(beside)
-                .collect(),
+            bonds,
             contrast: 1.0,
             unit: deviation * deviation,
         }

@@ -19,8 +19,8 @@ use rayon::prelude::*;
 
 use super::cells::{Cell, Pyramid};
 use super::fast::Solver;
-use super::gloss::beside;
 use super::lobes::light_from;
+use super::neighbours::Neighbours;
 use super::observations::{Observations, Point};
 use super::weights::{magnitude, median};
 use rekindle_base::math::nnls::{self, NnlsParams};
@@ -183,8 +183,8 @@ impl LightByShading {
 
 /// Neighbouring points, the first of each pair before the second.
 fn pairs(points: &[Point]) -> Vec<[usize; 2]> {
-    let beside = beside(points);
-    let pairs = beside.iter().enumerate().flat_map(|(p, near)| {
+    let neighbours = Neighbours::of(points);
+    let pairs = neighbours.iter().enumerate().flat_map(|(p, near)| {
         let others = near.iter().map(|&q| q as usize);
         others.filter(move |&q| p < q).map(move |q| [p, q])
     });

@@ -11,8 +11,9 @@ use rayon::prelude::*;
 use super::cells::Cell;
 use super::design::Design;
 use super::fast::{Solver, Watch};
-use super::gloss::{WORTH, bonds};
+use super::gloss::WORTH;
 use super::highlights;
+use super::neighbours::Neighbours;
 use super::observations::{Observations, Point};
 use super::observer::{Stopped, go_on};
 use super::state::{ROUGH, State};
@@ -63,6 +64,7 @@ struct Search<'a> {
     seen: SeenCells,
     colours: &'a Observations,
     gray: &'a Observations,
+    neighbours: Neighbours,
 }
 
 impl Solver<'_> {
@@ -121,6 +123,7 @@ impl Solver<'_> {
             cells: self.roots(),
             colours: &colours,
             gray: &gray,
+            neighbours: Neighbours::of(&gray.points),
         })
     }
 }
@@ -206,7 +209,7 @@ impl Search<'_> {
     fn around(&self, before: &Strengths) -> Vec<f64> {
         let shown = self.shown(before);
         let own = self.said(before, &shown);
-        let (bonds, _) = bonds(self.colours, &self.diffuse(before, shown));
+        let (bonds, _) = self.neighbours.bonds(&self.diffuse(before, shown));
         let typical = own.iter().map(|(_, of)| of).sum::<f64>() / own.len().max(1) as f64;
         let around = |i: usize| {
             let (mut with, mut of) = (PRIOR * typical, PRIOR * typical);
@@ -265,7 +268,7 @@ impl Search<'_> {
     /// The surface with these strengths.
     fn parts(&self, found: &Strengths) -> GlossParts {
         let diffuse = self.diffuse(found, self.shown(found));
-        let (_, contrast) = bonds(self.colours, &diffuse);
+        let (_, contrast) = self.neighbours.bonds(&diffuse);
         let points = self.points(&found.of_points);
         let placed = points.points.iter().zip(diffuse);
         let placed = placed.map(|(point, colour)| PartPoint {
