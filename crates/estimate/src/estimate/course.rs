@@ -6,7 +6,7 @@ use super::below::{AllAround, is_lit_from_below};
 use super::fast::{CoarseFit, Fit, Solver, Watch};
 use super::gloss;
 use super::held_out::{
-    CHANCE, leaves_less, predicts_better, roughly_left_out, shows_gloss, sparse,
+    CHANCE, gain, leaves_less, predicts_better, roughly_left_out, shows_gloss, sparse,
 };
 use super::observations::Seen;
 use super::observer::{Interim, Stopped, go_on};
@@ -14,7 +14,7 @@ use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::shading::LightByShading;
 use super::state::{ROUGH, State};
 use super::suspects::{Suspicion, better_lobe, left};
-use super::{diagnose, exposures, sparse_gloss, strengths};
+use super::{diagnose, exposures, sparse_gloss, stated_gloss, strengths};
 use glam::Vec3;
 use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
@@ -64,10 +64,21 @@ pub struct Ending {
     pub allowed: [f32; 2],
     /// The nodes of the lights.
     pub grid: HemisphereGrid,
-    /// Whether the photographs say that there is gloss, and not only who stated its roughness.
-    pub is_confirmed: bool,
-    /// Whether the lights are as strong as the shading says; see [`sparse_gloss`].
-    pub is_by_shading: bool,
+    /// What says that there is gloss.
+    pub grounds: Grounds,
+}
+
+/// What says that there is gloss, and what lights there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Grounds {
+    /// The photographs.
+    Views,
+    /// Highlights on few parts of the surface; how strong lights are, the shading says. See [`sparse_gloss`].
+    FewParts,
+    /// Who stated its roughness: the lights are those that explain most at that.
+    Stated,
+    /// The same, under the light by shading. See [`stated_gloss`].
+    StatedUnderShading,
 }
 
 impl Ending {
@@ -113,8 +124,16 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
     {
         return Ok(bettered);
     }
-    let Outcome::Nothing(reason, _) = outcome else {
-        return Ok(outcome);
+    let reason = match outcome {
+        Outcome::Nothing(reason, _) => reason,
+        Outcome::Found(ending) if ending.grounds == Grounds::Stated => {
+            let stated = stated_gloss::under_shading(solver, &light, rules.choice, watch)?;
+            return Ok(match stated {
+                Some(ending) => Outcome::Found(Box::new(ending)),
+                None => Outcome::Nothing(diagnose::STATED_NOT_SHOWN.to_owned(), Some(light)),
+            });
+        }
+        _ => return Ok(outcome),
     };
     let by_highlights = sparse_gloss::found(solver, &light, rules.choice, watch)?;
     Ok(match by_highlights {
@@ -133,8 +152,8 @@ fn may_be_bettered(solver: &Solver<'_>, outcome: &Outcome) -> bool {
             Outcome::Found(ending) => {
                 let is_only =
                     solver.first.is_none() && ending.fit.brdf.model != SpecularModel::Metal;
-                let is_doubted = diagnose::misfit(&ending.fit.misfit).is_some();
-                is_only && is_doubted && ending.refined.is_none()
+                let is_doubted = is_only && diagnose::misfit(&ending.fit.misfit).is_some();
+                (ending.grounds == Grounds::Stated || is_doubted) && ending.refined.is_none()
             }
             Outcome::Exposures(_) => false,
         }
@@ -260,7 +279,11 @@ fn on_mesh(
     }
     let ending = end(solver, &coarse, because, (choice, Causes::All), watch)?;
     Ok(Outcome::Found(Box::new(Ending {
-        is_confirmed: shown,
+        grounds: if shown {
+            Grounds::Views
+        } else {
+            Grounds::Stated
+        },
         ..ending
     })))
 }
@@ -269,7 +292,13 @@ fn on_mesh(
 /// it, has to predict views.
 fn is_glossy(solver: &Solver<'_>, coarse: &CoarseFit<'_>) -> bool {
     let is_clear = diagnose::explains_much(&coarse.state);
-    let is_settled = || solver.sigma.is_some() || !diagnose::is_open(coarse);
+    let is_settled = || {
+        if solver.sigma.is_some() {
+            gain(coarse.left_out(solver)) > SURE
+        } else {
+            !diagnose::is_open(coarse)
+        }
+    };
     (is_clear && is_settled()) || shows_gloss(coarse.left_out(solver))
 }
 
@@ -512,8 +541,7 @@ fn end(
         bound,
         allowed,
         grid: solver.grid.clone(),
-        is_confirmed: true,
-        is_by_shading: false,
+        grounds: Grounds::Views,
     })
 }
 

@@ -1,5 +1,6 @@
 //! When the data can't say: no separation, no specular part, nothing that determines it.
 
+use super::course::Grounds;
 use super::fast::{CoarseFit, Fit};
 use super::misfit::Misfit;
 use super::observations::{Observations, Seen};
@@ -94,20 +95,38 @@ pub const NO_SPECULAR: &str = "No specular part was found: no lights explain how
     taken as diffuse.";
 
 /// What is said where a stated roughness is all that says that there is gloss.
-pub const UNCONFIRMED: &str = "The photographs do not show that the surface is glossy: the lights are those that explain most at the \
-    roughness that was stated. Some of them may not have been there. Leave the roughness open to have the light taken from the shading.";
+const STATED: &str = "The photographs do not show that the surface is glossy: the lights are those that explain most at the \
+    roughness that was stated. Some of them may not have been there.";
+const STATED_UNDER_SHADING: &str = "That the surface is glossy was stated; under lights from anywhere the photographs do not show it. The \
+    lighting was taken from the shading, as if the texture were even, and the gloss is as strong as the photographs allow under it. Lights may \
+    be wider than they were.";
+
+/// What is said where the photographs show no gloss of a stated roughness.
+pub const STATED_NOT_SHOWN: &str = "No specular part was found: the photographs show no gloss of the roughness that was stated, neither under \
+    lights from anywhere nor under the light that the shading tells of. Everything is taken as diffuse. State another roughness, or leave it \
+    open.";
 
 /// What is said where the light is what the shading says.
 pub const BY_SHADING: &str = "The lighting was taken from the shading alone, as if the texture were even: it is white on the \
     whole, and its strength is open. Lights may be wider and weaker or stronger than they were.";
 
 /// What is said where highlights on few parts tell of lights, and the shading of how strong they are.
-pub const STRENGTHS_BY_SHADING: &str = "Only few parts of the surface are glossy. They tell the roughness and where lights are that they mirror; how \
+const STRENGTHS_BY_SHADING: &str = "Only few parts of the surface are glossy. They tell the roughness and where lights are that they mirror; how \
     strong lights are, and those that they don't mirror, were taken from the shading, as if the texture were even.";
 
 /// What is said where the light is what the diffuse part says of an object that turns before it.
 pub const BY_DIFFUSE: &str = "The lighting was taken from how the diffuse part changes as the object turns: it is white, and its strength is \
     open. Small lights may be wider than they were.";
+
+/// What to doubt about what says that there is gloss.
+pub fn grounds(grounds: Grounds) -> Option<&'static str> {
+    match grounds {
+        Grounds::Views => None,
+        Grounds::FewParts => Some(STRENGTHS_BY_SHADING),
+        Grounds::Stated => Some(STATED),
+        Grounds::StatedUnderShading => Some(STATED_UNDER_SHADING),
+    }
+}
 
 /// Why diffuse and specular parts can't be told apart in this capture, if they can't.
 pub fn unseparable(capture: &Capture, observations: &Observations) -> Option<String> {

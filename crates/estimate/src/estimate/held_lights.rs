@@ -1,6 +1,7 @@
 //! Lights that have been found and are held, to see what else explains views under them.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
 
 use super::cells::Cell;
 use super::fast::Solver;
@@ -88,5 +89,18 @@ impl HeldLights {
             }
         }
         all
+    }
+
+    /// [`HeldLights::left_out`] of each view in turn; nothing of those that are left once the solver is stopped.
+    pub fn left_out_in_turn(
+        &self,
+        solver: &Solver<'_>,
+        points: &Observations,
+        noise: f32,
+    ) -> Vec<Left> {
+        let views =
+            (0..solver.seen.views.len()).take_while(|_| !solver.stop.load(Ordering::Relaxed));
+        let turns = views.map(|view| move |other| other == view);
+        self.left_out(solver, points, noise, turns)
     }
 }

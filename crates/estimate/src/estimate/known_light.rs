@@ -172,6 +172,36 @@ fn run(
     Ok(told(estimate, found, turned, because, &nodes))
 }
 
+/// The lobe that explains most under a light, radiance per node in the capture's units, on the coarsest points.
+pub fn lobe_under(
+    solver: &Solver<'_>,
+    nodes: &[[f32; 3]],
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Under>, Stopped> {
+    let few = solver.coarse_colours();
+    let lit = Lit::new(solver, &few, &LitCells::of(solver, nodes, FEW_CELLS));
+    let best = best(solver, &lit, choice, watch)?;
+    Ok(best.map(|(lobe, because)| Under {
+        brdf: lobe.brdf,
+        scale: lobe.scale.map(|k| k as f32),
+        misfit: Misfit::of(&lit.state(&lobe)),
+        because,
+    }))
+}
+
+/// A lobe under a light.
+pub struct Under {
+    /// Model and roughness.
+    pub brdf: Brdf,
+    /// `K_S` of each channel: what the light is multiplied by.
+    pub scale: [f32; 3],
+    /// What it leaves.
+    pub misfit: Misfit,
+    /// Why this lobe.
+    pub because: String,
+}
+
 /// The light divided into cells.
 struct LitCells {
     cells: Vec<Cell>,
@@ -533,6 +563,23 @@ fn choose(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<(Lobe, String)>, Stopped> {
+    let best = best(solver, lit, choice, watch)?;
+    Ok(best.filter(|(best, _)| {
+        let without = Lobe {
+            scale: [0.0; 3],
+            ..best.clone()
+        };
+        signed_ranks(&lit.left_by(&without), &lit.left_by(best)) > SURE
+    }))
+}
+
+/// The lobe of the form asked for, or of the one that leaves least, with the reason in words.
+fn best(
+    solver: &Solver<'_>,
+    lit: &Lit<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<Option<(Lobe, String)>, Stopped> {
     let models: &[SpecularModel] = match &choice {
         SpecularChoice::Model(model) => std::slice::from_ref(model),
         SpecularChoice::Auto => &SpecularModel::ALL,
@@ -552,20 +599,12 @@ fn choose(
         *lobe = lit.improved(lobe.clone(), stated, ROUNDS).0;
     }
     fits.sort_by(|a, b| a.left().total_cmp(&b.left()));
-    let Some(best) = fits.first() else {
-        return Ok(None);
+    let because = match &fits[..] {
+        [best, second, ..] => diagnose::chosen([best, second].map(|l| (l.left(), l.brdf.model))),
+        _ if models.len() == 1 => "it was asked for".to_owned(),
+        _ => "every other form of the lobe leaves clearly more".to_owned(),
     };
-    let because = match fits.get(1) {
-        Some(second) => diagnose::chosen([best, second].map(|l| (l.left(), l.brdf.model))),
-        None if models.len() == 1 => "it was asked for".to_owned(),
-        None => "every other form of the lobe leaves clearly more".to_owned(),
-    };
-    let without = Lobe {
-        scale: [0.0; 3],
-        ..best.clone()
-    };
-    let is_shown = signed_ranks(&lit.left_by(&without), &lit.left_by(best)) > SURE;
-    Ok(is_shown.then(|| (best.clone(), because)))
+    Ok(fits.into_iter().next().map(|best| (best, because)))
 }
 
 /// How the light is turned, radians, and what to doubt about it.

@@ -24,6 +24,7 @@ pub mod lobes;
 mod merging;
 pub mod misfit;
 mod near;
+mod neighbours;
 pub mod observations;
 mod observer;
 mod relief;
@@ -31,6 +32,7 @@ mod shading;
 mod sparse_gloss;
 mod spread;
 mod state;
+mod stated_gloss;
 mod strengths;
 mod support;
 mod suspects;
@@ -640,8 +642,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         bound,
         allowed,
         grid,
-        is_confirmed,
-        is_by_shading,
+        grounds,
     } = ending;
     let sigma = fit.brdf.sigma;
     let by_noise = HALF_INTERVAL * fit.noise_error / sigma;
@@ -659,7 +660,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         (None, None) => Some(interval(&fit, allowed, suspicion)),
     };
     let open = bound.map(|_| diagnose::OPEN.to_owned());
-    let unconfirmed = (!is_confirmed).then(|| diagnose::UNCONFIRMED.to_owned());
+    let unconfirmed = diagnose::grounds(grounds).map(str::to_owned);
     let stated = solver.near.map(|(_, radius)| radius);
     // A cause that has a name is said in place of what it leaves.
     let misfit = match suspicion {
@@ -667,8 +668,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         None => diagnose::misfit(&fit.misfit),
     };
     let unresolved = diagnose::unresolved(&solver.seen, &fit);
-    let by_shading = is_by_shading.then(|| diagnose::STRENGTHS_BY_SHADING.to_owned());
-    let doubts = [unconfirmed, open, misfit, unresolved, by_shading];
+    let doubts = [unconfirmed, open, misfit, unresolved];
     result.diagnostics.well_posed = doubts.iter().all(Option::is_none);
     let refined = result.refined.as_ref().map(diagnose::refined);
     let metal = (fit.brdf.model == SpecularModel::Metal).then(|| diagnose::METAL.to_owned());

@@ -9,14 +9,13 @@
 //! all. So lights stand where the highlights say, are as strong as the shading says, and those that no highlight tells of are the shading's.
 
 use std::collections::BTreeSet;
-use std::sync::atomic::Ordering;
 
 use glam::Vec3;
 
 use super::SpecularChoice;
 use super::below::AllAround;
 use super::cells::Cell;
-use super::course::{Ending, choose_near};
+use super::course::{Ending, Grounds, choose_near};
 use super::fast::{Fit, Solver, Watch};
 use super::held_lights::HeldLights;
 use super::held_out::{Left, common_noise, gain, shows_gloss};
@@ -78,8 +77,7 @@ pub fn found(
             bound: None,
             allowed: [1.0; 2],
             grid: light.grid().clone(),
-            is_confirmed: true,
-            is_by_shading: true,
+            grounds: Grounds::FewParts,
         }))
 }
 
@@ -121,12 +119,7 @@ fn judged(
     let directions = whole.pyramid.geometry(&Vec::from_iter(cells)).directions;
     let points = solver.points_showing(&directions, &brdf, POINTS);
     let noise = common_noise(&solver.design(&points, &[]));
-    let left = |lights: &HeldLights| {
-        let views =
-            (0..solver.seen.views.len()).take_while(|_| !solver.stop.load(Ordering::Relaxed));
-        let turns = views.map(|view| move |other| other == view);
-        lights.left_out(solver, &points, noise, turns)
-    };
+    let left = |lights: &HeldLights| lights.left_out_in_turn(solver, &points, noise);
     held.iter().map(left).zip(tried).collect()
 }
 

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use glam::{DVec3, Vec3};
 
 use super::cells::{Cell, Pyramid};
+use super::course::Grounds;
 use super::design::{Design, Prediction};
 use super::observations::{Observations, Point, Row};
 use super::shading::LightByShading;
@@ -461,6 +462,62 @@ fn gloss_on_few_parts_of_a_surface_is_found_by_its_highlights() {
     let by_shading = said.filter(|said| said.contains("taken from the shading"));
     assert_eq!(by_shading.count(), 1, "{:?}", found.diagnostics);
     assert!(!found.diagnostics.well_posed);
+}
+
+#[test]
+fn a_stated_roughness_that_photographs_do_not_show_lights_no_lamps() {
+    let params = EstimateParams {
+        sigma: Some(0.05),
+        ..EstimateParams::default()
+    };
+    let of = |params: &EstimateParams| {
+        with_input(&matte(), |input| estimate(input, params, &mut Unobserved)).unwrap()
+    };
+    let (open, stated) = (of(&EstimateParams::default()), of(&params));
+    is_diffuse_only(&stated, "the roughness that was stated");
+    is_diffuse_only(&stated, "from the shading alone");
+    assert_eq!(stated.radiance, open.radiance);
+}
+
+#[test]
+fn a_stated_gloss_is_as_strong_as_views_allow_under_the_light_by_shading() {
+    let under_shading = |capture: &Capture| {
+        with_solver(capture, |solver| {
+            let stated = Solver {
+                sigma: Some(0.085),
+                coarse: solver.coarse.clone(),
+                coarse_sees: solver.coarse_sees.clone(),
+                ..*solver
+            };
+            let light = LightByShading::of(&stated).expect("two lamps shade");
+            let mut watch = Watch {
+                iterations: &mut Vec::new(),
+                observer: &mut Unobserved,
+            };
+            let choice = SpecularChoice::Model(SpecularModel::Paper);
+            let found = stated_gloss::under_shading(&stated, &light, choice, &mut watch).unwrap();
+            found.map(|ending| (ending, light.nodes()))
+        })
+    };
+    // The roughness of spot_paper's truth.json.
+    let (ending, by_shading) = under_shading(&load()).expect("gloss");
+    assert_eq!(ending.fit.brdf.sigma, 0.085);
+    assert_eq!(ending.grounds, Grounds::StatedUnderShading);
+    let sum = |nodes: &[[f32; 3]]| {
+        nodes
+            .as_flattened()
+            .iter()
+            .map(|&v| f64::from(v))
+            .sum::<f64>()
+    };
+    let factor = sum(&ending.fit.nodes) / sum(&by_shading);
+    assert!(factor > 0.0);
+    let own = ending.fit.nodes.as_flattened().iter();
+    for (&own, &of) in own.zip(by_shading.as_flattened()) {
+        let (own, of) = (f64::from(own), factor * f64::from(of));
+        assert!((own - of).abs() <= 1e-4 * own, "{own} for {of}");
+    }
+    assert!(under_shading(&matte()).is_none(), "no gloss to be seen");
 }
 
 #[test]
