@@ -102,7 +102,7 @@ pub struct Rules {
 /// The default method from the first look to the end. Where no gloss shows under light from anywhere, or what is found is to be doubted and has
 /// light from elsewhere, it is looked for under light from where the shading says: few lights can stand there for what is left out, so that
 /// faint gloss, or on few parts, is more than these explain. What is found so has to be sound, and to make the albedo no less even than the
-/// light by shading does.
+/// light by shading does. Where there is gloss only because its roughness was stated, its light is what the shading says.
 pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
     let outcome = sought(solver, rules, watch)?;
     let is_ended = watch.observer.enough() && matches!(outcome, Outcome::Found(_));
@@ -128,10 +128,7 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
         Outcome::Nothing(reason, _) => reason,
         Outcome::Found(ending) if ending.grounds == Grounds::Stated => {
             let stated = stated_gloss::under_shading(solver, &light, rules.choice, watch)?;
-            return Ok(match stated {
-                Some(ending) => Outcome::Found(Box::new(ending)),
-                None => Outcome::Nothing(diagnose::STATED_NOT_SHOWN.to_owned(), Some(light)),
-            });
+            return Ok(Outcome::Found(stated.map_or(ending, Box::new)));
         }
         _ => return Ok(outcome),
     };

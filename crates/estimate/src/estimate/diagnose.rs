@@ -98,13 +98,8 @@ pub const NO_SPECULAR: &str = "No specular part was found: no lights explain how
 const STATED: &str = "The photographs do not show that the surface is glossy: the lights are those that explain most at the \
     roughness that was stated. Some of them may not have been there.";
 const STATED_UNDER_SHADING: &str = "That the surface is glossy was stated; under lights from anywhere the photographs do not show it. The \
-    lighting was taken from the shading, as if the texture were even, and the gloss is as strong as the photographs allow under it. Lights may \
-    be wider than they were.";
-
-/// What is said where the photographs show no gloss of a stated roughness.
-pub const STATED_NOT_SHOWN: &str = "No specular part was found: the photographs show no gloss of the roughness that was stated, neither under \
-    lights from anywhere nor under the light that the shading tells of. Everything is taken as diffuse. State another roughness, or leave it \
-    open.";
+    lighting was taken from the shading, as if the texture were even, and the gloss is as strong as the photographs allow under it, but not \
+    below the 1 % that any glossy surface reflects. Lights may be wider than they were.";
 
 /// What is said where the light is what the shading says.
 pub const BY_SHADING: &str = "The lighting was taken from the shading alone, as if the texture were even: it is white on the \

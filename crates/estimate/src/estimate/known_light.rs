@@ -172,26 +172,32 @@ fn run(
     Ok(told(estimate, found, turned, because, &nodes))
 }
 
-/// The lobe that explains most under a light, radiance per node in the capture's units, on the coarsest points.
+/// The lobe, of some forms, that explains most under a light, radiance per node in the capture's units, on the coarsest points. It is no weaker
+/// than that of any dielectric.
 pub fn lobe_under(
     solver: &Solver<'_>,
     nodes: &[[f32; 3]],
-    choice: SpecularChoice,
+    models: &[SpecularModel],
     watch: &mut Watch<'_>,
-) -> Result<Option<Under>, Stopped> {
+) -> Result<Option<LobeUnderLight>, Stopped> {
     let few = solver.coarse_colours();
     let lit = Lit::new(solver, &few, &LitCells::of(solver, nodes, FEW_CELLS));
-    let best = best(solver, &lit, choice, watch)?;
-    Ok(best.map(|(lobe, because)| Under {
-        brdf: lobe.brdf,
-        scale: lobe.scale.map(|k| k as f32),
-        misfit: Misfit::of(&lit.state(&lobe)),
-        because,
+    let best = best(solver, &lit, models, watch)?;
+    Ok(best.map(|(mut lobe, because)| {
+        if lobe.reflectance() < LEAST_DIELECTRIC {
+            lobe.scale = [f64::from(LEAST_DIELECTRIC / lobe.reflectance_of_unit_scale()); 3];
+        }
+        LobeUnderLight {
+            brdf: Brdf::new(lobe.brdf.model, lobe.brdf.sigma),
+            scale: lobe.scale.map(|k| k as f32),
+            misfit: Misfit::of(&lit.state(&lobe)),
+            because,
+        }
     }))
 }
 
 /// A lobe under a light.
-pub struct Under {
+pub struct LobeUnderLight {
     /// Model and roughness.
     pub brdf: Brdf,
     /// `K_S` of each channel: what the light is multiplied by.
@@ -373,7 +379,12 @@ impl Lobe {
 
     /// F₀, the reflectance at normal incidence.
     fn reflectance(&self) -> f32 {
-        8.0 * PI * self.brdf.sigma.powi(2) * self.mean_scale() as f32
+        self.reflectance_of_unit_scale() * self.mean_scale() as f32
+    }
+
+    /// F₀ of a lobe whose `K_S` is 1.
+    fn reflectance_of_unit_scale(&self) -> f32 {
+        8.0 * PI * self.brdf.sigma.powi(2)
     }
 
     /// `K_S` in the mean over channels.
@@ -563,7 +574,11 @@ fn choose(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<(Lobe, String)>, Stopped> {
-    let best = best(solver, lit, choice, watch)?;
+    let models = match &choice {
+        SpecularChoice::Model(model) => std::slice::from_ref(model),
+        SpecularChoice::Auto => &SpecularModel::ALL,
+    };
+    let best = best(solver, lit, models, watch)?;
     Ok(best.filter(|(best, _)| {
         let without = Lobe {
             scale: [0.0; 3],
@@ -573,17 +588,13 @@ fn choose(
     }))
 }
 
-/// The lobe of the form asked for, or of the one that leaves least, with the reason in words.
+/// The lobe that leaves least of some forms, with the reason in words.
 fn best(
     solver: &Solver<'_>,
     lit: &Lit<'_>,
-    choice: SpecularChoice,
+    models: &[SpecularModel],
     watch: &mut Watch<'_>,
 ) -> Result<Option<(Lobe, String)>, Stopped> {
-    let models: &[SpecularModel] = match &choice {
-        SpecularChoice::Model(model) => std::slice::from_ref(model),
-        SpecularChoice::Auto => &SpecularModel::ALL,
-    };
     let sigmas: &[f32] = solver.sigma.as_ref().map_or(&SIGMAS, std::slice::from_ref);
     let mut fits = Vec::with_capacity(models.len());
     for &model in models {
