@@ -63,14 +63,21 @@ impl Distortion {
             return self.fisheye_slope(u.length().atan()) > 0.0;
         }
         let r2 = u.length_squared();
+        let ([top, bottom], [top_slope, bottom_slope]) = self.radial(r2);
+        // d(r·top/bottom)/dr times the squared denominator.
+        bottom > 0.0 && top * bottom + 2.0 * r2 * (top_slope * bottom - top * bottom_slope) > 0.0
+    }
+
+    /// Numerator and denominator of what multiplies radii where the lens is no fisheye, at a squared radius, and their derivatives by that.
+    #[inline]
+    fn radial(&self, r2: f64) -> ([f64; 2], [f64; 2]) {
         let [k1, k2, k3, k4] = self.k;
         let [k5, k6, k7] = self.denominator;
         let top = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
         let bottom = 1.0 + r2 * (k5 + r2 * (k6 + r2 * k7));
-        let top_slope = r2 * (k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + r2 * 4.0 * k4)));
-        let bottom_slope = r2 * (k5 + r2 * (2.0 * k6 + r2 * 3.0 * k7));
-        // d(r·top/bottom)/dr, where d/dr of a polynomial in r² is 2/r times its slope as above.
-        bottom > 0.0 && top * bottom + 2.0 * (top_slope * bottom - top * bottom_slope) > 0.0
+        let top_slope = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + r2 * 4.0 * k4));
+        let bottom_slope = k5 + r2 * (2.0 * k6 + r2 * 3.0 * k7);
+        ([top, bottom], [top_slope, bottom_slope])
     }
 
     /// Radius of a fisheye at an angle from the axis, and its derivative.
@@ -129,14 +136,8 @@ impl Distortion {
     #[inline]
     fn apply_with_slopes(&self, u: DVec2) -> (DVec2, DMat2) {
         let r2 = u.length_squared();
-        let [k1, k2, k3, k4] = self.k;
-        let [k5, k6, k7] = self.denominator;
-        let top = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
-        let bottom = 1.0 + r2 * (k5 + r2 * (k6 + r2 * k7));
+        let ([top, bottom], [top_slope, bottom_slope]) = self.radial(r2);
         let radial = top / bottom;
-        // By r².
-        let top_slope = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + r2 * 4.0 * k4));
-        let bottom_slope = k5 + r2 * (2.0 * k6 + r2 * 3.0 * k7);
         let slope = 2.0 * (top_slope - radial * bottom_slope) / bottom;
         let [p1, p2] = self.p;
         let xy = 2.0 * u.x * u.y;

@@ -574,11 +574,7 @@ fn choose(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<(Lobe, String)>, Stopped> {
-    let models = match &choice {
-        SpecularChoice::Model(model) => std::slice::from_ref(model),
-        SpecularChoice::Auto => &SpecularModel::ALL,
-    };
-    let best = best(solver, lit, models, watch)?;
+    let best = best(solver, lit, choice.or(&SpecularModel::ALL), watch)?;
     Ok(best.filter(|(best, _)| {
         let without = Lobe {
             scale: [0.0; 3],

@@ -105,6 +105,16 @@ pub enum SpecularChoice {
     Auto,
 }
 
+impl SpecularChoice {
+    /// The models to compare: the one asked for, or those where none is.
+    pub fn or<'a>(&'a self, models: &'a [SpecularModel]) -> &'a [SpecularModel] {
+        match self {
+            Self::Model(model) => std::slice::from_ref(model),
+            Self::Auto => models,
+        }
+    }
+}
+
 /// Roughnesses that can be stated: a smoother surface is a mirror, whose highlights no picture resolves, and a rougher one has none.
 pub const STATED_ROUGHNESS: RangeInclusive<f32> = 0.07..=0.9;
 
@@ -275,11 +285,9 @@ pub fn gains_by_lights(
     observer: &mut dyn Observer,
 ) -> Result<Option<ByLights>, Stopped> {
     with_reduced(input, params, observer, |solver, _| {
-        Ok(match params.specular {
-            SpecularChoice::Model(model) => by_lights(solver, &[model]),
-            // One without a diffuse part and one with it.
-            SpecularChoice::Auto => by_lights(solver, &[SpecularModel::Metal, SpecularModel::Ggx]),
-        })
+        // One without a diffuse part and one with it.
+        let models = [SpecularModel::Metal, SpecularModel::Ggx];
+        Ok(by_lights(solver, params.specular.or(&models)))
     })
 }
 

@@ -33,11 +33,7 @@ pub fn under_shading(
     let around = AllAround::of(solver);
     let whole = around.solver(solver);
     let nodes = light.nodes();
-    let models = match &choice {
-        SpecularChoice::Model(model) => std::slice::from_ref(model),
-        SpecularChoice::Auto => &DIELECTRICS,
-    };
-    let Some(under) = lobe_under(&whole, &nodes, models, watch)? else {
+    let Some(under) = lobe_under(&whole, &nodes, choice.or(&DIELECTRICS), watch)? else {
         return Ok(None);
     };
     let scale = Vec3::from(under.scale);
