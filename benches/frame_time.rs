@@ -1,7 +1,7 @@
 //! Frame times of the renderer: `cargo bench --bench frame_time -- [SOLUTION] [WIDTHxHEIGHT]…`.
 //!
 //! Without a solution the built-in demo is solved first. For every size the object is orbited under one lit node and under
-//! all 24,641 nodes of a hemisphere, and a lamp is dragged; the times are those until the device is done, the median of many
+//! an environment, and a lamp is dragged; the times are those until the device is done, the median of many
 //! frames. What light needs to be baked is not in them: it happens beside the frames.
 
 #![allow(
@@ -20,9 +20,8 @@ use glam::{DAffine3, DQuat, DVec3, Quat, Vec3};
 use rekindle_capture::{Camera, Capture, read_cameras, unpack_demo};
 use rekindle_estimate::estimate::{EstimateParams, Unobserved};
 use rekindle_relight::ViewTransform;
-use rekindle_relight::{LampNodes, LightNode, Lighting};
+use rekindle_relight::{LampNodes, LatLong, LightNode, Lighting};
 use rekindle_render::{Background, FrameRequest, Gpu, Mode, Renderer, Surface};
-use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_solution::{Solution, SolveOptions, solve};
 
 /// Frames of each measurement.
@@ -100,7 +99,7 @@ fn measure(renderer: &mut Renderer, surface: &Surface, camera: &Camera) -> anyho
     let mut times = Vec::new();
     for (name, lighting) in [
         ("one lit node", one_node(&original)),
-        ("24,641 lit nodes", all_nodes(&original)),
+        ("an environment", sky(&original)),
     ] {
         renderer.set_lighting(&lighting)?;
         let request = request(camera.clone());
@@ -133,7 +132,7 @@ fn measure(renderer: &mut Renderer, surface: &Surface, camera: &Camera) -> anyho
         1.0 / dragged.as_secs_f64()
     );
     println!(
-        "{}×{}: 24,641 nodes ÷ one {:.2} (at most 1.3 is wanted), dragging ÷ orbiting {:.2} (at most 2)",
+        "{}×{}: environment ÷ one node {:.2} (at most 1.3 is wanted), dragging ÷ orbiting {:.2} (at most 2)",
         camera.width,
         camera.height,
         times[1].as_secs_f64() / times[0].as_secs_f64(),
@@ -216,7 +215,7 @@ fn no_light(original: &Lighting) -> Lighting {
     Lighting {
         lamps: Vec::new(),
         remainder: Vec::new(),
-        environment: Vec::new(),
+        environment: None,
         ambient: Vec3::ZERO,
         ..original.clone()
     }
@@ -234,40 +233,13 @@ fn one_node(original: &Lighting) -> Lighting {
     }
 }
 
-/// A sky on every node of the paper's hemisphere, in 96 patches or so of neighbours, as a light probe comes.
-fn all_nodes(original: &Lighting) -> Lighting {
-    let grid = HemisphereGrid::new(70, original.up, None, original.centre);
-    let nodes: Vec<LightNode> = grid
-        .directions
-        .iter()
-        .map(|&direction| LightNode {
-            direction,
-            radiance: Vec3::new(0.6, 0.8, 1.0)
-                * (1.2 + (3.0 * direction.x).sin() * (5.0 * direction.z).cos()),
-            solid_angle: grid.solid_angle,
-        })
-        .collect();
-    let mut patches = vec![nodes];
-    while patches.len() < 96 {
-        patches = patches.into_iter().flat_map(halves).collect();
-    }
+/// A sky, as a light probe comes.
+fn sky(original: &Lighting) -> Lighting {
+    let radiance = |direction: Vec3| {
+        Vec3::new(0.6, 0.8, 1.0) * (1.2 + (3.0 * direction.x).sin() * (5.0 * direction.z).cos())
+    };
     Lighting {
-        environment: patches
-            .into_iter()
-            .filter_map(|nodes| LampNodes::new(nodes, None))
-            .collect(),
+        environment: LatLong::of(256, radiance).environment(Quat::IDENTITY, Vec3::ONE),
         ..no_light(original)
     }
-}
-
-/// Halves of a patch across its longest extent.
-fn halves(mut nodes: Vec<LightNode>) -> [Vec<LightNode>; 2] {
-    let low = nodes.iter().fold(Vec3::INFINITY, |m, n| m.min(n.direction));
-    let high = nodes
-        .iter()
-        .fold(Vec3::NEG_INFINITY, |m, n| m.max(n.direction));
-    let axis = (high - low).max_position();
-    nodes.sort_by(|a, b| a.direction[axis].total_cmp(&b.direction[axis]));
-    let upper = nodes.split_off(nodes.len() / 2);
-    [nodes, upper]
 }

@@ -260,7 +260,7 @@ fn textures(bencher: &Bencher) {
     let lighting = Lighting {
         lamps: vec![LampNodes::disc_of(64, direction, Vec3::ONE, 0.05, None)],
         remainder: Vec::new(),
-        environment: Vec::new(),
+        environment: None,
         ambient: Vec3::ZERO,
         centre: capture.mesh.centre(),
         radius: None,

@@ -55,6 +55,12 @@ struct Frame {
     tint: vec3f,
     /// Specular strength of the main lobe, as a multiple of what such surfaces usually have.
     strength: f32,
+    /// Rows of the turn from the world to the environment's sky; w: what its red, green and blue are multiplied by.
+    sky_x: vec4f,
+    sky_y: vec4f,
+    sky_z: vec4f,
+    /// Levels of the sky, 0 without any.
+    sky_levels: u32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

@@ -5,6 +5,7 @@
 
 #import frame.wgsl
 #import mirror.wgsl
+#import sky.wgsl
 #import surface.wgsl
 
 struct Lobe {
@@ -14,7 +15,7 @@ struct Lobe {
     spread: f32,
     flux: vec3f,
     /// Bits 0–7: index; 8–9: what hides it (0 nothing, 1 visibility texture, 2 the vertices, 3 shadow map);
-    /// 16: adds irradiance; 17: near.
+    /// 16: adds irradiance; 17: near; 18: no lobe shows it, as what the sky is.
     bits: u32,
 }
 
@@ -188,7 +189,7 @@ fn add_lobes(surface: Surface, brdf: Brdf, terms: ViewTerms, range: vec2u, weigh
         }
         let live = (light.bits & 0x10000u) != 0u;
         var value = 0.0;
-        if (brdf.model != NO_LOBE) {
+        if (brdf.model != NO_LOBE && (light.bits & 0x40000u) == 0u) {
             value = lobe(brdf, terms, l, spread);
         }
         if (value == 0.0 && !live) {
@@ -234,25 +235,78 @@ const STORED: u32 = 1u;
 const COVERAGE: u32 = 2u;
 const LARGEST: f32 = 6e4;
 
-/// Specular reflection of other parts of the surface.
+/// Specular reflection of other parts of the surface and of the sky.
 fn mirrored(brdf: Brdf, triangle: Triangle, surface: Surface, view: vec3f) -> vec3f {
+    if (brdf.model == NO_LOBE || (brdf.model == PAPER && !has_sky())) {
+        return vec3f(0.0);
+    }
     let open = min(vertices[triangle.corners.x].openness,
         min(vertices[triangle.corners.y].openness, vertices[triangle.corners.z].openness));
     // Nothing of the surface is in sight of what sees the whole sky.
-    if (frame.walk_nodes == 0u || open >= 1.0) {
+    let is_sheltered = frame.walk_nodes != 0u && open < 1.0;
+    if (!is_sheltered && !has_sky()) {
         return vec3f(0.0);
     }
-    let ray = mirror_ray(brdf, surface.normal, view);
-    if (ray.weight <= 0.0 || dot(ray.direction, surface.face_normal) <= 0.0) {
+    if (frame.half_vector >= LOBE_FRAMES) {
+        return mirrored_moving(brdf, surface, view, is_sheltered);
+    }
+    let lobe = drawn(brdf, half_vectors(), surface.normal, view);
+    var sum = vec3f(0.0);
+    for (var i = frame.half_vector; i < lobe.count; i += LOBE_FRAMES) {
+        sum += mirrored_by(brdf, drawn_ray(brdf, lobe, i, surface.normal, view), surface, is_sheltered);
+    }
+    // The mean over the frames is the lobe.
+    return sum * f32(LOBE_FRAMES);
+}
+
+/// The same while things move: what hides the middle of the lobe hides all of it.
+fn mirrored_moving(brdf: Brdf, surface: Surface, view: vec3f, is_sheltered: bool) -> vec3f {
+    let middle = middle_ray(brdf, surface.normal, view);
+    if (is_sheltered && dot(middle.direction, surface.face_normal) > 0.0) {
+        let hit = trace(surface.position + surface.face_normal * (ORIGIN_LIFT * frame.radius), middle.direction);
+        if (hit.triangle != NOTHING) {
+            return mirrored_surface(brdf, middle, hit);
+        }
+    }
+    var sum = vec3f(0.0);
+    if (has_sky()) {
+        let lobe = drawn(brdf, FEW_HALF_VECTORS, surface.normal, view);
+        for (var i = 0u; i < lobe.count; i++) {
+            sum += mirrored_by(brdf, drawn_ray(brdf, lobe, i, surface.normal, view), surface, false);
+        }
+    }
+    return sum;
+}
+
+/// What one ray shows.
+fn mirrored_by(brdf: Brdf, ray: MirrorRay, surface: Surface, is_sheltered: bool) -> vec3f {
+    if (dot(ray.direction, surface.face_normal) <= 0.0) {
         return vec3f(0.0);
     }
-    let hit = trace(surface.position + surface.face_normal * (ORIGIN_LIFT * frame.radius), ray.direction);
-    if (hit.triangle == NOTHING) {
+    if (is_sheltered) {
+        let hit = trace(surface.position + surface.face_normal * (ORIGIN_LIFT * frame.radius), ray.direction);
+        if (hit.triangle != NOTHING) {
+            return mirrored_surface(brdf, ray, hit);
+        }
+    }
+    if (!has_sky()) {
         return vec3f(0.0);
     }
+    return sky_radiance(ray.direction, ray.sky_spread) * (ray.sky_weight * lobe_height(brdf));
+}
+
+/// Peak of a part's lobe as a multiple of the main one's: a lobe of the same strength is lower the wider it is.
+fn lobe_height(brdf: Brdf) -> f32 {
+    let wider = brdf.sigma / max(frame.sigma, 1e-9);
+    return brdf.strength / max(frame.strength, 1e-9) / max(wider * wider, 1e-9);
+}
+
+/// What a ray shows of the surface where it meets it.
+fn mirrored_surface(brdf: Brdf, ray: MirrorRay, hit: Hit) -> vec3f {
     let there = surface_at(triangles[hit.triangle], hit.weights);
     let cosine = -dot(there.normal, ray.direction);
-    if (cosine <= 0.0 || dot(there.face_normal, ray.direction) >= 0.0) {
+    // The paper's model leaves open how much is mirrored.
+    if (cosine <= 0.0 || dot(there.face_normal, ray.direction) >= 0.0 || brdf.model == PAPER) {
         return vec3f(0.0);
     }
     var radiance: vec3f;
@@ -268,8 +322,22 @@ fn mirrored(brdf: Brdf, triangle: Triangle, surface: Surface, view: vec3f) -> ve
         var gloss = gloss_at(there.uv);
         gloss.x = min(length(vec2f(gloss.x, ray.extent * brdf.sigma / frame.sigma)), 1.0 / frame.sigma);
         radiance += lit(triangles[hit.triangle], hit.weights, there, gloss, -ray.direction).specular;
+        radiance += sky_in_mirror(triangles[hit.triangle], hit.weights, there, gloss, -ray.direction);
     }
     return radiance * frame.tint * ray.weight;
+}
+
+/// What a point that is seen in a mirror shows of the sky, by the middle of its lobe; it is hidden as much as the whole sky.
+fn sky_in_mirror(triangle: Triangle, weights: vec3f, surface: Surface, gloss: vec2f, view: vec3f) -> vec3f {
+    if (!has_sky()) {
+        return vec3f(0.0);
+    }
+    let brdf = Brdf(frame.model, frame.sigma * gloss.x, frame.strength * gloss.y);
+    let ray = middle_ray(brdf, surface.normal, view);
+    let open = vertices[triangle.corners.x].openness * weights.x + vertices[triangle.corners.y].openness * weights.y
+        + vertices[triangle.corners.z].openness * weights.z;
+    let seen = select(0.0, open, dot(ray.direction, surface.face_normal) > 0.0);
+    return sky_radiance(ray.direction, ray.sky_spread) * (ray.sky_weight * lobe_height(brdf) * seen);
 }
 
 /// What light that comes straight from the lamps makes of a point, seen from the unit direction `view`.
@@ -283,8 +351,7 @@ fn lit(triangle: Triangle, weights: vec3f, surface: Surface, gloss: vec2f, view:
         sum.specular += more.specular;
         sum.irradiance += more.irradiance;
     }
-    // A lobe of the same strength is lower the wider it is.
-    sum.specular *= gloss.y / (gloss.x * gloss.x);
+    sum.specular *= lobe_height(brdf);
     return sum;
 }
 

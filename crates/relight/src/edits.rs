@@ -356,7 +356,7 @@ pub fn apply(edits: &[Edit], lighting: &Lighting) -> Result<Lighting, EditError>
                     lamp.muted = i != chosen;
                 }
                 edited.remainder.clear();
-                edited.environment.clear();
+                edited.environment = None;
             }
             Edit::Gain { near, rgb } => {
                 let lamp = pick(&edited, *near)?;
@@ -390,7 +390,7 @@ pub fn apply(edits: &[Edit], lighting: &Lighting) -> Result<Lighting, EditError>
             } => {
                 let turn = Quat::from_axis_angle(lighting.up, *rotation);
                 let bright = lighting.probe_gain(*units, picture.flux());
-                edited.environment = picture.patches(turn, bright * *gain);
+                edited.environment = picture.environment(turn, bright * *gain);
             }
             Edit::Ambient { gain } => edited.ambient *= *gain,
             Edit::Remainder { gain } if *gain == 0.0 => edited.remainder.clear(),
@@ -423,7 +423,7 @@ mod tests {
                 radiance: Vec3::ONE,
                 solid_angle: 0.01,
             }],
-            environment: Vec::new(),
+            environment: None,
             ambient: Vec3::splat(0.1),
             centre: Vec3::ZERO,
             radius: None,
@@ -537,7 +537,7 @@ mod tests {
             let text = format!(r#"[{{"environment": {{"file": "probe.hdr"{units}}}}}]"#);
             fs::write(&path, text).unwrap();
             let edited = apply(&load(&path).unwrap(), &lighting).unwrap();
-            let found: Vec3 = edited.environment.iter().map(LampNodes::flux).sum();
+            let found: Vec3 = edited.environment_lamps().map(LampNodes::flux).sum();
             let off = (found - expected).length() / expected.length();
             assert!(off < 5e-3, "{units}: {found}, not {expected}");
         }

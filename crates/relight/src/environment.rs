@@ -1,11 +1,16 @@
-//! Distant environments: a lat-long picture, reduced to a bounded number of light nodes that hold all its flux.
+//! Distant environments: a lat-long picture, reduced to a bounded number of light nodes that hold all its flux, and the
+//! picture itself for what mirrors it.
 
 use std::collections::BinaryHeap;
 use std::path::Path;
+use std::sync::OnceLock;
 
 use glam::{DVec3, Quat, Vec2, Vec3};
 
 use super::lighting::{LampNodes, LightNode};
+use super::lobes::{Lobe, Source, merge};
+use super::patches::reach;
+use super::sky::Sky;
 use rayon::prelude::*;
 use rekindle_capture::{CaptureError, read_probe, read_radiance};
 use rekindle_scene::hemisphere::{
@@ -18,6 +23,54 @@ const MAX_COLUMNS: usize = 1024;
 const PATCHES: usize = 96;
 /// Nodes of each patch.
 const NODES_PER_PATCH: usize = 16;
+/// What has so many times the mean radiance of all, and reaches no further than [`SUN_REACH`] radians, is a sun: its shadows have
+/// edges, and half vectors drawn from a lobe would miss it or meet it.
+const SUN_RADIANCE: f32 = 10.0;
+const SUN_REACH: f32 = 0.12;
+/// Suns with less than this part of the flux aren't told from the rest, nor more than so many.
+const SUN_SHARE: f32 = 1e-3;
+const MOST_SUNS: usize = 16;
+/// Nodes of a sun at most.
+const NODES_PER_SUN: usize = 64;
+
+/// Light from all directions far away.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Environment {
+    /// What is small and bright in it, as lamps.
+    pub suns: Vec<LampNodes>,
+    /// All else in patches of neighbouring nodes, for irradiance.
+    pub patches: Vec<LampNodes>,
+    /// The same as lobes show it.
+    pub sky: Sky,
+}
+
+impl Environment {
+    /// All its light as lamps: suns, then patches.
+    pub fn lamps(&self) -> impl Iterator<Item = &LampNodes> {
+        self.suns.iter().chain(&self.patches)
+    }
+
+    /// The same to be changed.
+    pub fn lamps_mut(&mut self) -> impl Iterator<Item = &mut LampNodes> {
+        self.suns.iter_mut().chain(&mut self.patches)
+    }
+
+    /// The same turned further, its radiance times `gain`.
+    #[must_use]
+    pub fn turned(&self, turn: Quat, gain: Vec3) -> Self {
+        let node = |node: &LightNode| LightNode {
+            direction: turn * node.direction,
+            radiance: gain * node.radiance,
+            ..*node
+        };
+        let lamp = |lamp: &LampNodes| LampNodes::new(lamp.nodes.iter().map(node).collect(), None);
+        Self {
+            suns: self.suns.iter().filter_map(lamp).collect(),
+            patches: self.patches.iter().filter_map(lamp).collect(),
+            sky: self.sky.turned(turn, gain),
+        }
+    }
+}
 
 /// A picture of the light from all directions.
 #[derive(Clone, Debug)]
@@ -26,6 +79,8 @@ pub struct LatLong {
     height: usize,
     /// Radiance row by row from the top.
     radiance: Vec<Vec3>,
+    /// The environment that it is of, made once asked for.
+    environment: OnceLock<Environment>,
 }
 
 /// A rectangle of pixels with its light.
@@ -80,6 +135,16 @@ impl LatLong {
         Ok(Self::new(width as usize, height as usize, &radiance))
     }
 
+    /// A picture of so many rows, twice as wide, of what `radiance` says of a unit direction.
+    pub fn of(rows: usize, radiance: impl Fn(Vec3) -> Vec3) -> Self {
+        let columns = 2 * rows;
+        let place = |i: usize| Vec2::new((i % columns) as f32, (i / columns) as f32) + 0.5;
+        let size = Vec2::new(columns as f32, rows as f32);
+        let pixel = |i: usize| radiance(direction_from_lat_long(place(i) / size));
+        let pixels: Vec<Vec3> = (0..columns * rows).map(pixel).collect();
+        Self::new(columns, rows, &pixels)
+    }
+
     fn new(width: usize, height: usize, radiance: &[Vec3]) -> Self {
         let factor = width.div_ceil(MAX_COLUMNS).max(1);
         let (small_width, small_height) = (width.div_ceil(factor), height.div_ceil(factor));
@@ -101,6 +166,7 @@ impl LatLong {
             width: small_width,
             height: small_height,
             radiance: small,
+            environment: OnceLock::new(),
         }
     }
 
@@ -218,7 +284,7 @@ impl LatLong {
         heap.into_sorted_vec()
     }
 
-    fn node(&self, region: &Region, turn: Quat, gain: Vec3) -> Option<LightNode> {
+    fn node(&self, region: &Region) -> Option<LightNode> {
         let (mut flux, mut moment, mut solid_angle) = (DVec3::ZERO, DVec3::ZERO, 0.0);
         for row in region.rows[0]..region.rows[1] {
             let pixel_solid_angle = self.solid_angle(row);
@@ -231,8 +297,8 @@ impl LatLong {
         }
         let direction = moment.as_vec3().try_normalize()?;
         Some(LightNode {
-            direction: turn * direction,
-            radiance: (flux / solid_angle).as_vec3() * gain,
+            direction,
+            radiance: (flux / solid_angle).as_vec3(),
             solid_angle: solid_angle as f32,
         })
     }
@@ -311,24 +377,139 @@ impl LatLong {
         rows.map(of_row).sum::<DVec3>().as_vec3()
     }
 
-    /// The environment as patches of neighbouring nodes, turned by `turn`, its radiance times `gain`. Together they
-    /// have the flux of the picture.
-    pub fn patches(&self, turn: Quat, gain: Vec3) -> Vec<LampNodes> {
+    /// The environment that it is of, turned by `turn`, its radiance times `gain`; none where that is dark.
+    pub fn environment(&self, turn: Quat, gain: Vec3) -> Option<Environment> {
         if gain == Vec3::ZERO {
-            return Vec::new();
+            return None;
         }
-        let whole = self.region([0, self.height], [0, self.width]);
-        self.cut(whole, PATCHES)
-            .into_iter()
-            .filter_map(|patch| {
-                let nodes = self
-                    .cut(patch, NODES_PER_PATCH)
-                    .iter()
-                    .filter_map(|region| self.node(region, turn, gain))
-                    .collect();
-                LampNodes::new(nodes, None)
+        let as_it_is = self.environment.get_or_init(|| self.reduced());
+        Some(as_it_is.turned(turn, gain))
+    }
+
+    fn reduced(&self) -> Environment {
+        let mut soft = Self {
+            radiance: self.radiance.clone(),
+            environment: OnceLock::new(),
+            ..*self
+        };
+        let suns: Vec<LampNodes> = (self.bright_spots().iter())
+            .filter_map(|spot| {
+                let sun = self.sun(spot)?;
+                for &pixel in spot {
+                    soft.radiance[pixel] = Vec3::ZERO;
+                }
+                Some(sun)
             })
-            .collect()
+            .collect();
+        let patch = |region| {
+            let nodes = soft.cut(region, NODES_PER_PATCH);
+            LampNodes::new(nodes.iter().filter_map(|n| soft.node(n)).collect(), None)
+        };
+        let whole = soft.region([0, self.height], [0, self.width]);
+        Environment {
+            suns,
+            patches: (soft.cut(whole, PATCHES).into_iter())
+                .filter_map(patch)
+                .collect(),
+            sky: soft.sky(),
+        }
+    }
+
+    /// Pixels beside each other that are far brighter than the mean: the spots of the most flux first, of those with enough.
+    fn bright_spots(&self) -> Vec<Vec<usize>> {
+        let total = self.flux().element_sum();
+        let bright = SUN_RADIANCE * total / (4.0 * std::f32::consts::PI);
+        let mut is_left: Vec<bool> = (self.radiance.iter())
+            .map(|radiance| radiance.element_sum() > bright)
+            .collect();
+        let mut spots: Vec<(f64, Vec<usize>)> = Vec::new();
+        for first in 0..is_left.len() {
+            if !std::mem::take(&mut is_left[first]) {
+                continue;
+            }
+            let mut spot = vec![first];
+            let mut seen = 0;
+            while let Some(&pixel) = spot.get(seen) {
+                seen += 1;
+                for near in self.around(pixel) {
+                    if std::mem::take(&mut is_left[near]) {
+                        spot.push(near);
+                    }
+                }
+            }
+            let flux = spot.iter().map(|&pixel| {
+                let [row, column] = [pixel / self.width, pixel % self.width];
+                self.row_flux(row, [column, column + 1])
+            });
+            spots.push((flux.sum(), spot));
+        }
+        spots.retain(|(flux, _)| *flux >= f64::from(SUN_SHARE * total));
+        spots.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| a.1.cmp(&b.1)));
+        spots.truncate(MOST_SUNS);
+        spots.into_iter().map(|(_, spot)| spot).collect()
+    }
+
+    /// The pixels that touch one.
+    fn around(&self, pixel: usize) -> impl Iterator<Item = usize> + use<> {
+        let (width, height) = (self.width, self.height);
+        let [row, column] = [pixel / width, pixel % width];
+        let rows = row.saturating_sub(1)..(row + 2).min(height);
+        rows.flat_map(move |row| {
+            let columns = [column + width - 1, column, column + 1];
+            columns.map(|column| row * width + column % width)
+        })
+    }
+
+    /// A lamp of these pixels, unless they reach too far.
+    fn sun(&self, pixels: &[usize]) -> Option<LampNodes> {
+        let source = |&pixel: &usize| {
+            let [row, column] = [pixel / self.width, pixel % self.width];
+            Source {
+                direction: self.direction(row, column),
+                flux: self.radiance[pixel] * self.solid_angle(row) as f32,
+                group: 0,
+            }
+        };
+        let angles = pixels.iter().map(|p| self.solid_angle(p / self.width));
+        let all: f64 = angles.sum();
+        let merged = merge(pixels.iter().map(source).collect(), 0.0, NODES_PER_SUN);
+        let solid_angle = all as f32 / merged.len() as f32;
+        let node = |lobe: &Lobe| LightNode {
+            direction: lobe.direction,
+            radiance: lobe.flux / solid_angle,
+            solid_angle,
+        };
+        let sun = LampNodes::new(merged.iter().map(node).collect(), None)?;
+        (reach(&sun) < SUN_REACH).then_some(sun)
+    }
+
+    /// What it shows as a sky.
+    fn sky(&self) -> Sky {
+        let rows = Sky::rows(self.height);
+        // Of a pixel of the sky those pixels of the picture that lie in it, at least the nearest.
+        let around = |middle: f32, size: usize, parts: usize| {
+            let half = 0.5 / parts as f32;
+            let first = ((middle - half) * size as f32).round().max(0.0) as usize;
+            let end = ((middle + half) * size as f32).round() as usize;
+            let nearest = ((middle * size as f32) as usize).min(size - 1);
+            if first < end.min(size) {
+                first..end.min(size)
+            } else {
+                nearest..nearest + 1
+            }
+        };
+        Sky::new(rows, |direction| {
+            let uv = lat_long_from_direction(direction);
+            let (mut sum, mut weights) = (DVec3::ZERO, 0.0);
+            for row in around(uv.y, self.height, rows) {
+                let weight = self.solid_angle(row);
+                for column in around(uv.x, self.width, 2 * rows) {
+                    sum += weight * self.radiance[row * self.width + column].as_dvec3();
+                    weights += weight;
+                }
+            }
+            (sum / weights).as_vec3()
+        })
     }
 }
 
@@ -337,23 +518,17 @@ mod tests {
     use super::*;
 
     fn picture(f: impl Fn(Vec3) -> Vec3) -> LatLong {
-        let (width, height) = (128, 64);
-        let radiance: Vec<Vec3> = (0..width * height)
-            .map(|i| {
-                let (row, column) = (i / width, i % width);
-                f(direction_from_lat_long(Vec2::new(
-                    (column as f32 + 0.5) / width as f32,
-                    (row as f32 + 0.5) / height as f32,
-                )))
-            })
-            .collect();
-        LatLong::new(width, height, &radiance)
+        LatLong::of(64, f)
     }
 
     #[test]
     fn patches_hold_all_flux_on_the_whole_sphere() {
         let uniform = picture(|_| Vec3::new(1.0, 2.0, 3.0));
-        let patches = uniform.patches(Quat::IDENTITY, Vec3::splat(0.5));
+        let environment = uniform
+            .environment(Quat::IDENTITY, Vec3::splat(0.5))
+            .unwrap();
+        assert!(environment.suns.is_empty());
+        let patches = &environment.patches;
         let flux: Vec3 = patches.iter().map(LampNodes::flux).sum();
         let sphere = 4.0 * std::f32::consts::PI;
         let expected = Vec3::new(0.5, 1.0, 1.5) * sphere;
@@ -406,12 +581,18 @@ mod tests {
         let sun = Vec3::new(0.6, 0.64, 0.48);
         let sky = picture(|d| Vec3::splat(if d.dot(sun) > 0.995 { 1000.0 } else { 1.0 }));
         let turn = Quat::from_rotation_y(1.0);
-        let brightest = sky
-            .patches(turn, Vec3::ONE)
-            .into_iter()
-            .max_by(|a, b| a.flux().x.total_cmp(&b.flux().x))
-            .unwrap();
+        let environment = sky.environment(turn, Vec3::ONE).unwrap();
+        let bright = |lamp: &LampNodes| lamp.flux().x;
+        let by_flux = |a: &&LampNodes, b: &&LampNodes| bright(a).total_cmp(&bright(b));
+        let brightest = environment.suns.iter().max_by(by_flux).unwrap();
         assert!(brightest.direction.angle_between(turn * sun) < 0.1);
+        // What lobes show as the sky is without it, and with all else.
+        let behind = environment.sky.radiance(turn * sun, 0.0);
+        assert!(behind.x < 1.0, "{behind}");
+        let elsewhere = environment.sky.radiance(turn * -sun, 0.3);
+        assert!((elsewhere - 1.0).abs().max_element() < 1e-3, "{elsewhere}");
+        let flux: Vec3 = environment.lamps().map(LampNodes::flux).sum();
+        assert!((flux / sky.flux() - 1.0).abs().max_element() < 1e-4);
         assert_eq!(sky.radiance(sun), Vec3::splat(1000.0));
         assert_eq!(sky.radiance(-sun), Vec3::ONE);
     }

@@ -10,6 +10,7 @@ use std::f32::consts::TAU;
 use glam::{DAffine3, DVec3, Quat, Vec3};
 use serde::{Deserialize, Serialize};
 
+use super::environment::Environment;
 use rekindle_base::math::GOLDEN_ANGLE;
 
 /// A small piece of a lamp.
@@ -50,8 +51,8 @@ pub struct Lighting {
     pub lamps: Vec<LampNodes>,
     /// Lit nodes that belong to no lamp: part of the estimate, not to be edited one by one.
     pub remainder: Vec<LightNode>,
-    /// A distant environment in patches of neighbouring nodes.
-    pub environment: Vec<LampNodes>,
+    /// A distant environment.
+    pub environment: Option<Environment>,
     /// Radiance that comes from every direction alike, RGB. It lights the diffuse part only.
     pub ambient: Vec3,
     /// The object's centre, from which directions are measured.
@@ -84,7 +85,7 @@ impl Lighting {
         Self {
             lamps,
             remainder: Vec::new(),
-            environment: Vec::new(),
+            environment: None,
             ambient: Vec3::ZERO,
             centre: Vec3::ZERO,
             radius: None,
@@ -99,7 +100,7 @@ impl Lighting {
         Self {
             lamps: Vec::new(),
             remainder: Vec::new(),
-            environment: Vec::new(),
+            environment: None,
             ambient: Vec3::ZERO,
             ..*self
         }
@@ -124,7 +125,8 @@ impl Lighting {
         Self {
             lamps: self.lamps.iter().map(lamp).collect(),
             remainder: self.remainder.iter().map(node).collect(),
-            environment: self.environment.iter().map(lamp).collect(),
+            environment: (self.environment.as_ref())
+                .map(|e| e.turned(Quat::from_mat3(&motion.matrix3.as_mat3()), Vec3::ONE)),
             centre: motion.transform_point3(self.centre.as_dvec3()).as_vec3(),
             up: turn(self.up),
             ..*self
@@ -133,10 +135,15 @@ impl Lighting {
 
     /// Radiance over all directions at the centre, RGB in the units of the lighting × steradians; muted lamps send none.
     pub fn flux(&self) -> Vec3 {
-        let lamps = self.lamps.iter().chain(&self.environment);
+        let lamps = self.lamps.iter().chain(self.environment_lamps());
         let lamps: Vec3 = lamps.filter(|l| !l.muted).map(LampNodes::flux).sum();
         let strays: Vec3 = self.remainder.iter().map(LightNode::flux).sum();
         lamps + strays + self.ambient * (4.0 * std::f32::consts::PI)
+    }
+
+    /// All of the environment as lamps; see [`Environment::lamps`].
+    pub fn environment_lamps(&self) -> impl Iterator<Item = &LampNodes> {
+        self.environment.iter().flat_map(Environment::lamps)
     }
 
     /// By what to multiply a picture of the light, of this flux over all directions, for this lighting.

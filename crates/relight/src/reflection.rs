@@ -9,7 +9,7 @@
 
 use std::sync::OnceLock;
 
-use glam::{Vec2, Vec3};
+use glam::{Mat3, Vec2, Vec3};
 use smallvec::SmallVec;
 
 use super::interreflection::{Field, Interreflection, Relit, exit_cosine};
@@ -99,15 +99,11 @@ impl Lobe {
         mut add: impl FnMut(Vec3, f32, f32, f32),
     ) {
         let turn = Vec2::from_angle(turn);
-        let cos_view = normal.dot(view);
-        let tangent = (view - normal * cos_view)
-            .try_normalize()
-            .unwrap_or_else(|| normal.any_orthonormal_vector());
-        let bitangent = normal.cross(tangent);
+        let frame = facing_frame(normal, view);
         for (local, extent) in self.half_vectors.iter().zip(&self.extents) {
             let wider = roughness * turn.rotate(local.truncate());
             let local = wider.extend(local.z).normalize_or(Vec3::Z);
-            let half = tangent * local.x + bitangent * local.y + normal * local.z;
+            let half = frame * local;
             let cos_between = view.dot(half);
             if cos_between <= 0.0 {
                 continue;
@@ -117,6 +113,14 @@ impl Lobe {
             add(light, cos_between / local.z, passes, roughness * extent);
         }
     }
+}
+
+/// Axes at a point: towards the view along the surface, across, and the normal.
+pub(super) fn facing_frame(normal: Vec3, view: Vec3) -> Mat3 {
+    let tangent = (view - normal * normal.dot(view))
+        .try_normalize()
+        .unwrap_or_else(|| normal.any_orthonormal_vector());
+    Mat3::from_cols(tangent, normal.cross(tangent), normal)
 }
 
 /// What surrounds a point of the surface: the rest of the surface with its radiance.
@@ -205,7 +209,9 @@ impl<'a> Surroundings<'a> {
         let mut point = scene.point(triangle, barycentric);
         let widest = self.interreflection.lobe.brdf.sigma.recip();
         point.gloss.roughness = point.gloss.roughness.hypot(extent).min(widest);
-        shader.specular_of_shares(&point, view, |group| f32::from(shares[group]) / 255.0)
+        let lamps =
+            shader.specular_of_shares(&point, view, |group| f32::from(shares[group]) / 255.0);
+        lamps + shader.specular_of_sky_in_mirror(&point, view)
     }
 
     /// Whether what is mirrored is specular too.

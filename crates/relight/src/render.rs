@@ -377,6 +377,7 @@ impl Tile<'_> {
                     if let Some(&mirrored) = mirrored.get(index) {
                         shade.specular += self.reflected(piece, main, mirrored);
                     }
+                    shade.specular += self.of_sky(piece);
                     self.add(&mut pixel, samples, &shade, piece, diffuse);
                 };
                 let seen = &visibility[index * groups..(index + 1) * groups];
@@ -496,6 +497,23 @@ impl Tile<'_> {
         };
         let cos_view = piece.point.normal.dot(self.view(&piece.point));
         mirrored * (surroundings.reflectance(cos_view) * piece.point.gloss.strength)
+    }
+
+    /// What a piece mirrors of an environment's sky.
+    fn of_sky(&self, piece: &Piece) -> Vec3 {
+        if !self.shader.shows_sky() {
+            return Vec3::ZERO;
+        }
+        let Sample {
+            triangle,
+            barycentric,
+            ..
+        } = piece.sample;
+        let is_sheltered = (self.scene.surroundings)
+            .is_none_or(|s| s.is_sheltered(self.scene.mesh, triangle, barycentric));
+        let view = self.view(&piece.point);
+        self.shader
+            .specular_of_sky(&piece.point, view, is_sheltered)
     }
 
     /// Cosine of the largest angle between normals that mirror much the same: the mirrored direction turns by twice that

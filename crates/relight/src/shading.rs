@@ -19,8 +19,9 @@ use smallvec::SmallVec;
 
 use super::lighting::{LampNodes, LightNode, Lighting};
 use super::patches::{self, patches};
+use super::sky::{DrawnLobe, Sky};
 use rekindle_capture::Mesh;
-use rekindle_scene::reflectance::{Brdf, Gloss};
+use rekindle_scene::reflectance::{Brdf, Gloss, MIN_COS_VIEW};
 use rekindle_scene::surface::Occluder;
 
 /// Lobes are cut where they have fallen to this part of their peak.
@@ -31,10 +32,6 @@ const STRIDE: usize = 4;
 const SAME_SURFACE_COS: f32 = 0.8;
 /// … and they are no further apart than this many grid spacings per step.
 const SAME_SURFACE_STEPS: f32 = 4.0;
-/// An environment's patch that is brighter than this part of the whole light and smaller than
-/// [`SHARP_REACH`] casts shadows with edges.
-const SHARP_SHARE: f32 = 0.02;
-const SHARP_REACH: f32 = 0.12;
 /// Lamps of at least this many nodes send scouts ahead …
 const MANY_NODES: usize = 24;
 /// … this many.
@@ -166,6 +163,8 @@ struct Group {
     moment: [Vec3; 3],
     /// Visibility is a fraction that varies smoothly.
     soft: bool,
+    /// Lobes show it as part of the sky, not node by node.
+    in_sky: bool,
 }
 
 /// A lighting prepared for shading a mesh.
@@ -178,6 +177,8 @@ pub struct Shader<'a> {
     /// See [`Brdf::tint`].
     tint: Vec3,
     support: Support,
+    /// What of an environment lobes mirror, its suns aside.
+    sky: Option<(Sky, DrawnLobe)>,
     /// Once set, nothing more is computed.
     stop: Option<&'a AtomicBool>,
 }
@@ -260,6 +261,7 @@ impl Group {
             among,
             moment,
             soft,
+            in_sky: role == Role::Environment,
         })
     }
 
@@ -431,21 +433,14 @@ impl<'a> Shader<'a> {
             let lamp = LampNodes::new(vec![*node], lighting.radius)?;
             Group::new(&lamp, lighting.centre, Role::Lamp, unresolved)
         }));
-        let total: f32 = lighting
-            .environment
-            .iter()
-            .chain(&lighting.lamps)
-            .map(|l| l.flux().element_sum())
-            .sum();
-        groups.extend(lighting.environment.iter().filter_map(|patch| {
-            let is_bright = patch.flux().element_sum() > SHARP_SHARE * total;
-            let role = if is_bright && patches::reach(patch) < SHARP_REACH {
-                Role::Lamp
-            } else {
-                Role::Environment
-            };
-            Group::new(patch, lighting.centre, role, unresolved)
-        }));
+        let mut sky = None;
+        if let Some(environment) = &lighting.environment {
+            let suns = environment.suns.iter().map(|sun| (sun, Role::Lamp));
+            let patches = environment.patches.iter().map(|p| (p, Role::Environment));
+            let group = |(part, role)| Group::new(part, lighting.centre, role, unresolved);
+            groups.extend(suns.chain(patches).filter_map(group));
+            sky = brdf.map(|brdf| (environment.sky.clone(), DrawnLobe::new(brdf)));
+        }
         Self {
             occluder,
             brdf,
@@ -453,6 +448,7 @@ impl<'a> Shader<'a> {
             ambient: lighting.ambient * ambient_gain(brdf),
             tint: brdf.map_or(Vec3::ONE, |brdf| brdf.tint(lighting.specular_scale)),
             support: Support::new(brdf),
+            sky,
             stop: None,
         }
     }
@@ -491,9 +487,12 @@ impl<'a> Shader<'a> {
         !self.groups[group].soft
     }
 
-    /// Whether a group can add to the specular part seen at a point from the unit direction `view`.
+    /// Whether a group can add to the specular part seen at a point from the unit direction `view`, but for that of the sky.
     pub fn is_in_lobe(&self, group: usize, point: &ShadingPoint, view: Vec3) -> bool {
         let group = &self.groups[group];
+        if group.in_sky {
+            return false;
+        }
         let (axis, falloff, _) = group.towards(group.axis, point.position);
         let reach = group.reach_from(falloff);
         self.brdf.is_some_and(|brdf| {
@@ -753,7 +752,7 @@ impl<'a> Shader<'a> {
         }
     }
 
-    /// Specular radiance at a point seen from the unit direction `view`, given its visibilities.
+    /// Specular radiance at a point seen from the unit direction `view`, given its visibilities, but for that of the sky.
     pub fn specular(&self, point: &ShadingPoint, view: Vec3, visibility: &[Visibility]) -> Vec3 {
         self.specular_seen(point, view, |group| &visibility[group])
     }
@@ -787,7 +786,7 @@ impl<'a> Shader<'a> {
         for (index, group) in self.groups.iter().enumerate() {
             let seen = visibility(index);
             let seen = seen.borrow();
-            if matches!(seen, Visibility::Below | Visibility::Hidden) {
+            if group.in_sky || matches!(seen, Visibility::Below | Visibility::Hidden) {
                 continue;
             }
             let (axis, falloff, _) = group.towards(group.axis, point.position);
@@ -801,6 +800,66 @@ impl<'a> Shader<'a> {
             }
         }
         specular * point.gloss.height()
+    }
+
+    /// Whether lobes may show an environment's sky.
+    pub(super) fn shows_sky(&self) -> bool {
+        self.sky.is_some()
+    }
+
+    /// Specular radiance of an environment's sky at a point seen from the unit direction `view`. What the rest of the surface may
+    /// hide of it is found out by rays where the point `is_sheltered`.
+    pub fn specular_of_sky(&self, point: &ShadingPoint, view: Vec3, is_sheltered: bool) -> Vec3 {
+        let mut specular = Vec3::ZERO;
+        let (Some((sky, drawn)), Some(main)) = (&self.sky, self.brdf) else {
+            return specular;
+        };
+        if point.gloss.strength <= 0.0 || self.is_stopped() {
+            return specular;
+        }
+        let mut rays: SmallVec<[(Vec3, Vec3, f32); 64]> = SmallVec::new();
+        let lobe = (main.at(point.gloss), point.gloss.roughness);
+        drawn.each(lobe, point.normal, view, |mirrored| {
+            if mirrored.weight > 0.0 && mirrored.light.dot(point.face_normal) > 0.0 {
+                let arriving = mirrored.weight * sky.radiance(mirrored.light, mirrored.spread);
+                if is_sheltered {
+                    rays.push((arriving, mirrored.light, f32::INFINITY));
+                } else {
+                    specular += arriving;
+                }
+            }
+        });
+        let origin = self
+            .occluder
+            .offset_origin(point.position, point.face_normal);
+        (self.occluder).each_occluded(origin, rays, |arriving, is_blocked| {
+            if !is_blocked {
+                specular += arriving;
+            }
+        });
+        specular * point.gloss.height()
+    }
+
+    /// The same by the middle of the lobe alone, for what is seen in a mirror.
+    pub(super) fn specular_of_sky_in_mirror(&self, point: &ShadingPoint, view: Vec3) -> Vec3 {
+        let (Some((sky, _)), Some(main)) = (&self.sky, self.brdf) else {
+            return Vec3::ZERO;
+        };
+        let cos = point.normal.dot(view).max(MIN_COS_VIEW);
+        let light = point.normal * (2.0 * cos) - view;
+        let origin = self
+            .occluder
+            .offset_origin(point.position, point.face_normal);
+        if light.dot(point.face_normal) <= 0.0
+            || self.occluder.occluded(origin, light, f32::INFINITY)
+        {
+            return Vec3::ZERO;
+        }
+        let brdf = main.at(point.gloss);
+        // Mirroring turns by twice the half vector's angle along the plane of view and normal, and by less across.
+        let spread = 2.0 * brdf.sigma * cos.sqrt();
+        let reflected = brdf.drawn_scale(cos) * brdf.drawn_reflectance(0.0, cos, cos);
+        sky.radiance(light, spread) * (reflected * point.gloss.height())
     }
 
     /// Irradiance at a point, given its visibilities.

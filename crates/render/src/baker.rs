@@ -268,8 +268,8 @@ fn bake_soft(surface: &Surface, order: &Order, draft: bool) -> Baked {
 fn for_irradiance(shape: &Lighting) -> Lighting {
     let mut merged = shape.clone();
     let strength = |patch: &LampNodes| patch.flux().element_sum();
-    let total: f32 = shape.environment.iter().map(strength).sum();
-    for patch in &mut merged.environment {
+    let total: f32 = shape.environment_lamps().map(strength).sum();
+    for patch in (merged.environment.iter_mut()).flat_map(|e| &mut e.patches) {
         // The shadow of a bright patch has an edge, in which every node shows.
         if strength(patch) > BRIGHT * total {
             continue;

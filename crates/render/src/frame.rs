@@ -1,9 +1,10 @@
 //! What every pass of a frame knows: the mirrors of `frame.wgsl` and of the structures in `shade.wgsl`.
 
 use bytemuck::{Pod, Zeroable};
-use glam::{Mat4, Vec3};
+use glam::{Mat3, Mat4, Vec3};
 
 use rekindle_capture::Camera;
+use rekindle_relight::Sky;
 
 /// Colour that passes hand on: linear radiance, premultiplied by coverage.
 pub(super) const LINEAR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
@@ -44,6 +45,11 @@ pub(super) struct Frame {
     pub strongest: f32,
     pub tint: [f32; 3],
     pub strength: f32,
+    pub sky_x: [f32; 4],
+    pub sky_y: [f32; 4],
+    pub sky_z: [f32; 4],
+    pub sky_levels: u32,
+    pub unused: [u32; 3],
 }
 
 /// The diffuse part is the stored texture.
@@ -83,6 +89,16 @@ impl GpuShadowMap {
 }
 
 impl Frame {
+    /// The sky of an environment, in units of radiance `unit`.
+    pub(super) fn set_sky(&mut self, sky: &Sky, unit: f32) {
+        let turn = Mat3::from_quat(sky.turn().inverse()).transpose();
+        let gain = sky.gain() / unit;
+        self.sky_x = turn.x_axis.extend(gain.x).to_array();
+        self.sky_y = turn.y_axis.extend(gain.y).to_array();
+        self.sky_z = turn.z_axis.extend(gain.z).to_array();
+        self.sky_levels = sky.levels().len() as u32;
+    }
+
     /// A camera, its picture moved by `jitter` pixels, before an object of `radius` about `centre`.
     pub(super) fn set_camera(
         &mut self,

@@ -141,24 +141,53 @@ impl Gpu {
         samples: u32,
     ) -> wgpu::Texture {
         self.device.create_texture(&wgpu::TextureDescriptor {
-            label: Some(label),
-            size: extent(size),
-            mip_level_count: 1,
             sample_count: samples,
-            dimension: wgpu::TextureDimension::D2,
-            format,
             usage,
-            view_formats: &[],
+            ..plain(label, size, format)
         })
+    }
+
+    /// A texture to be read, of which each level has half the texels of the one before along each side: rows of bytes of each.
+    pub(super) fn texture_of_levels(
+        &self,
+        label: &str,
+        size: [u32; 2],
+        format: wgpu::TextureFormat,
+        levels: &[&[u8]],
+    ) -> wgpu::Texture {
+        let texture = self.device.create_texture(&wgpu::TextureDescriptor {
+            mip_level_count: levels.len() as u32,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            ..plain(label, [size[0], size[1], 1], format)
+        });
+        for (level, bytes) in levels.iter().enumerate() {
+            self.fill_level(
+                &texture,
+                [level as u32, 0],
+                size.map(|side| side >> level),
+                bytes,
+            );
+        }
+        texture
     }
 
     /// Fills one layer of a texture of `size` texels with rows of `bytes`.
     pub(super) fn fill(&self, texture: &wgpu::Texture, layer: u32, size: [u32; 2], bytes: &[u8]) {
+        self.fill_level(texture, [0, layer], size, bytes);
+    }
+
+    fn fill_level(
+        &self,
+        texture: &wgpu::Texture,
+        [level, layer]: [u32; 2],
+        size: [u32; 2],
+        bytes: &[u8],
+    ) {
         let row = bytes.len() as u32 / size[1].max(1);
         self.queue.write_texture(
             wgpu::TexelCopyTextureInfo {
                 texture,
-                mip_level: 0,
+                mip_level: level,
                 origin: wgpu::Origin3d {
                     x: 0,
                     y: 0,
@@ -185,6 +214,20 @@ impl Gpu {
             usage: usage | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         })
+    }
+}
+
+/// A flat texture of one level and one sample.
+fn plain(label: &str, size: [u32; 3], format: wgpu::TextureFormat) -> wgpu::TextureDescriptor<'_> {
+    wgpu::TextureDescriptor {
+        label: Some(label),
+        size: extent(size),
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format,
+        usage: wgpu::TextureUsages::empty(),
+        view_formats: &[],
     }
 }
 

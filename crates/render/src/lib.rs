@@ -41,12 +41,14 @@
 //! * `visible` finds the triangle of every pixel and `shade` what it looks like: stored diffuse texture or pseudo-albedo ×
 //!   irradiance (eq. 18), and the specular sum (eq. 7) over nodes merged into lobes (`lobes`). While things move a frame has
 //!   few lobes, and only coverage has four samples a pixel;
-//! * what the surface mirrors of itself (`mirror.wgsl`) is traced with one ray a pixel and frame;
+//! * what the surface mirrors of itself and of an environment (`mirror.wgsl`, `sky.wgsl`) is traced with one ray a pixel and
+//!   frame, or with four under an environment;
 //! * a still picture is the mean of sixteen or more frames (`accumulate`), with the sub-pixel places of the reference
 //!   renderer and all lobes. It depends on the request alone, not on what was drawn before;
 //! * `display` applies exposure, view transform and background.
 //!
-//! The reference renderer (`relight::render`) has what is left out here: a visibility for each node of a lamp in its penumbra.
+//! The reference renderer (`relight::render`) has what is left out here: a visibility for each node of a lamp in its penumbra, and
+//! for light of an environment that a metal shows by way of itself.
 
 mod accumulate;
 mod baker;

@@ -7,7 +7,7 @@
 use glam::Vec3;
 
 use rekindle_relight::lobes::Source;
-use rekindle_relight::{LampNodes, LightNode, Lighting};
+use rekindle_relight::{Environment, LampNodes, LightNode, Lighting};
 
 /// Which part of the light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,16 +72,9 @@ pub(super) fn split(lighting: &Lighting) -> Vec<Part> {
             weight: flux,
         });
     }
-    let mut environment: Vec<LampNodes> = lighting
-        .environment
-        .iter()
-        .filter(|patch| !patch.muted)
-        .cloned()
-        .collect();
-    let mut lists: Vec<&mut Vec<LightNode>> = environment
-        .iter_mut()
-        .map(|patch| &mut patch.nodes)
-        .collect();
+    let mut environment = lighting.environment.clone();
+    let lamps = environment.iter_mut().flat_map(Environment::lamps_mut);
+    let mut lists: Vec<&mut Vec<LightNode>> = lamps.map(|lamp| &mut lamp.nodes).collect();
     let flux = normalise(&mut lists);
     if flux != Vec3::ZERO {
         parts.push(Part {
@@ -143,7 +136,12 @@ impl Part {
             && a.radius == b.radius
             && same_nodes(&a.remainder, &b.remainder)
             && same_lamps(&a.lamps, &b.lamps)
-            && same_lamps(&a.environment, &b.environment)
+            && match (&a.environment, &b.environment) {
+                (Some(a), Some(b)) => {
+                    same_lamps(&a.suns, &b.suns) && same_lamps(&a.patches, &b.patches)
+                }
+                (a, b) => a.is_none() == b.is_none(),
+            }
     }
 
     /// Its nodes with their true flux. Groups are numbered as `relight::Shader` numbers those of the shape.
@@ -152,7 +150,7 @@ impl Part {
             .shape
             .lamps
             .iter()
-            .chain(&self.shape.environment)
+            .chain(self.shape.environment_lamps())
             .map(|lamp| lamp.nodes.as_slice());
         let strays = self.shape.remainder.iter().map(std::slice::from_ref);
         lists
@@ -167,6 +165,13 @@ impl Part {
                 })
             })
             .collect()
+    }
+
+    /// Those of its nodes that lobes show one by one, and those that they show as the sky.
+    pub(super) fn sources_by_lobes(&self) -> (Vec<Source>, Vec<Source>) {
+        let environment = self.shape.environment.as_ref();
+        let mirrored = environment.map_or(usize::MAX, |environment| environment.suns.len());
+        (self.sources().into_iter()).partition(|source| (source.group as usize) < mirrored)
     }
 
     /// Distance of its nodes from the centre, `None` for distant light.
@@ -207,7 +212,7 @@ mod tests {
                 LampNodes::disc(Vec3::X, Vec3::new(0.0, 1.0, 1.0), 0.05, None),
             ],
             remainder: Vec::new(),
-            environment: Vec::new(),
+            environment: None,
             ambient: Vec3::splat(0.1),
             centre: Vec3::ZERO,
             radius: None,

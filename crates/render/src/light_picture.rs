@@ -18,19 +18,17 @@ const WIDER: f32 = 1.3;
 /// The light from every direction, by `hemisphere::lat_long_from_direction`, in units of radiance `unit`.
 pub(super) fn light_picture(lighting: &Lighting, unit: f32) -> ([u32; 2], Vec<[f16; 4]>) {
     let size = [2 * ROWS, ROWS];
+    let suns = lighting.environment.iter().flat_map(|e| &e.suns);
+    let sky = lighting.environment.as_ref().map(|e| &e.sky);
+    let spread = 0.5 * PI / ROWS as f32;
     let lamps: Vec<(LightNode, f32)> = lighting
         .lamps
         .iter()
         .filter(|lamp| !lamp.muted)
         .flat_map(|lamp| &lamp.nodes)
         .chain(&lighting.remainder)
+        .chain(suns.flat_map(|sun| &sun.nodes))
         .map(|node| (*node, node_cos(node)))
-        .collect();
-    let environment: Vec<LightNode> = lighting
-        .environment
-        .iter()
-        .filter(|patch| !patch.muted)
-        .flat_map(|patch| patch.nodes.iter().copied())
         .collect();
     let lit = rows_with_lamps(&lamps);
     let pixels = (0..size[0] * size[1])
@@ -43,8 +41,7 @@ pub(super) fn light_picture(lighting: &Lighting, unit: f32) -> ([u32; 2], Vec<[f
             );
             let direction = direction_from_lat_long(uv);
             let mut radiance = lighting.ambient;
-            radiance += nearest(environment.iter(), direction)
-                .map_or(Vec3::ZERO, |(_, node)| node.radiance);
+            radiance += sky.map_or(Vec3::ZERO, |sky| sky.radiance(direction, spread));
             if lit[y as usize] {
                 let inside = lamps
                     .iter()

@@ -44,6 +44,7 @@ enum Hidden {
 
 const LIVE: u32 = 1 << 16;
 const NEAR: u32 = 1 << 17;
+const NO_LOBE: u32 = 1 << 18;
 
 /// A part of the light with what the device has of it.
 pub(super) struct Lit<'a> {
@@ -147,9 +148,19 @@ impl Lists {
                 matches!(l.part.kind, PartKind::Remainder | PartKind::Environment) && !l.baked
             })
             .flat_map(|l| {
-                merge(l.part.sources(), SOFT_SPREAD * variance, MOVING)
-                    .into_iter()
-                    .map(|lobe| writer(&lobe, soft.hidden(), OPENNESS, true, l.part.radius()))
+                let hidden = soft.hidden();
+                let (mirrored, of_sky) = l.part.sources_by_lobes();
+                let bare = move |sources, bits| {
+                    let lobes = merge(sources, SOFT_SPREAD * variance, MOVING).into_iter();
+                    lobes.map(move |lobe| {
+                        let lobe = writer(&lobe, hidden, OPENNESS, true, l.part.radius());
+                        GpuLobe {
+                            bits: lobe.bits | bits,
+                            ..lobe
+                        }
+                    })
+                };
+                bare(mirrored, 0).chain(bare(of_sky, NO_LOBE))
             })
             .collect();
         // Their words are the first, so nothing is refined in windows as long as there are such.
@@ -264,7 +275,7 @@ impl<'a> SoftLight<'a> {
             let first = light.groups;
             light.groups += soft.groups;
             light.parts.push((soft, first));
-            let mut sources = l.part.sources();
+            let (mut sources, _) = l.part.sources_by_lobes();
             for source in &mut sources {
                 source.group += first as u32;
             }
@@ -375,7 +386,8 @@ pub(super) fn is_on(weight: Vec3) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rekindle_relight::{LampNodes, LightNode, Lighting};
+    use glam::Quat;
+    use rekindle_relight::{Environment, LampNodes, LatLong, LightNode, Lighting};
 
     fn sky(patches: usize) -> Lighting {
         let node = |k: usize| {
@@ -388,10 +400,20 @@ mod tests {
                 solid_angle: 0.01,
             }
         };
+        let even = LatLong::of(8, |_| Vec3::ONE).environment(Quat::IDENTITY, Vec3::ONE);
+        let even = Environment {
+            patches: Vec::new(),
+            ..even.expect("it shines")
+        };
         Lighting {
-            environment: (0..patches)
-                .filter_map(|p| LampNodes::new((0..16).map(|k| node(16 * p + k)).collect(), None))
-                .collect(),
+            environment: Some(Environment {
+                suns: (0..patches)
+                    .filter_map(|p| {
+                        LampNodes::new((0..16).map(|k| node(16 * p + k)).collect(), None)
+                    })
+                    .collect(),
+                ..even
+            }),
             ..Lighting::of(vec![LampNodes::disc(Vec3::Y, Vec3::ONE, 0.04, None)])
         }
     }

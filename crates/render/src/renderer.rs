@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use glam::Vec3;
+use half::f16;
 
 use super::accumulate::AccumulatePass;
 use super::baker::{Baked, Baker, Order};
@@ -20,16 +21,20 @@ use super::read_back::{LinearImage, ReadBack};
 use super::request::{Background, FrameRequest, Mode};
 use super::shade::{SHADOWS_SIZE, SceneBindings, ShadePass};
 use super::shadow::{MAX_SHADOW_MAPS, ShadowPass, shadow_map};
-use super::surface::{Surface, SurfaceBuffers, bits, surface_layout};
+use super::surface::{Surface, SurfaceBuffers, bits, surface_layout, to_half};
 use super::targets::Targets;
 use super::visible::VisiblePass;
 use rekindle_capture::Camera;
-use rekindle_relight::{Lighting, Shader, ShadingPoint};
+use rekindle_relight::{Lighting, Shader, ShadingPoint, Sky, SkyLevel};
 use rekindle_scene::reflectance::SpecularModel;
 use rekindle_scene::surface::GlossTexture;
 
 /// Baked parts of the light that are kept although the lighting has them no more: for undo, and to compare looks.
 const SPARE_LAYERS: usize = 16;
+
+/// The brightest radiance of an environment's sky on the device: half floats have three digits from there down to a hundred
+/// millionth of it.
+const SKY_BRIGHTEST: f32 = 1e4;
 
 /// Storage buffers that a shader reads.
 const STORAGE_BUFFERS: u32 = 6;
@@ -87,6 +92,53 @@ struct Light {
     ambient: Vec3,
 }
 
+/// The pictures of an environment's sky on the device.
+struct SkyTexture {
+    /// What they were made of; without any a black one stands for them.
+    levels: Option<Arc<Vec<SkyLevel>>>,
+    /// Radiance of 1 on the device, in units of the pictures.
+    unit: f32,
+    view: wgpu::TextureView,
+}
+
+impl SkyTexture {
+    fn new(gpu: &Gpu, sky: Option<&Sky>) -> Result<Self, RenderError> {
+        let levels = sky.map(Sky::levels);
+        let finest = levels.iter().flat_map(|levels| &levels[0].radiance);
+        let brightest = finest.fold(0.0, |most: f32, r| most.max(r.max_element()));
+        let unit = (brightest / SKY_BRIGHTEST).max(f32::MIN_POSITIVE);
+        let halves: Vec<Vec<[u16; 4]>> = levels.map_or_else(
+            || vec![vec![[0; 4]; 2]],
+            |levels| {
+                let of = |level: &SkyLevel| -> Vec<[f16; 4]> {
+                    (level.radiance.iter())
+                        .map(|&r| to_half(r / unit, 1.0))
+                        .collect()
+                };
+                levels.iter().map(|level| bits(&of(level))).collect()
+            },
+        );
+        let rows = levels.map_or(1, |levels| levels[0].rows as u32);
+        let bytes: Vec<&[u8]> = halves.iter().map(|h| bytemuck::cast_slice(h)).collect();
+        let texture = gpu.guarded("the environment", || {
+            gpu.texture_of_levels("sky", [2 * rows, rows], LINEAR, &bytes)
+        })?;
+        Ok(Self {
+            levels: levels.cloned(),
+            unit,
+            view: texture.create_view(&wgpu::TextureViewDescriptor::default()),
+        })
+    }
+
+    /// Whether it is of this sky, however turned and bright that is.
+    fn is_of(&self, sky: Option<&Sky>) -> bool {
+        match (&self.levels, sky) {
+            (Some(levels), Some(sky)) => Arc::ptr_eq(levels, sky.levels()),
+            (levels, sky) => levels.is_none() && sky.is_none(),
+        }
+    }
+}
+
 /// A surface on the device.
 struct Loaded {
     surface: Arc<Surface>,
@@ -98,6 +150,7 @@ struct Loaded {
     visibility: wgpu::TextureView,
     /// Shapes whose visibility the texture holds, by place.
     visible_ids: Vec<u64>,
+    sky: SkyTexture,
     bindings: wgpu::BindGroup,
 }
 
@@ -234,11 +287,12 @@ impl Renderer {
             shown_lamps: Vec::new(),
             ambient: Vec3::ZERO,
         };
+        let sky = SkyTexture::new(&self.gpu, None)?;
         let bindings = bind(
             &self.gpu,
             &self.shade,
             &self.shadow,
-            [&irradiance, &visibility],
+            [&irradiance, &visibility, &sky.view],
             &buffers,
             &light,
         )?;
@@ -251,6 +305,7 @@ impl Renderer {
             layers: Vec::new(),
             visibility,
             visible_ids: Vec::new(),
+            sky,
             bindings,
         });
         self.relight()
@@ -436,11 +491,15 @@ impl Renderer {
         let gpu = &self.gpu;
         loaded.update_visibility(gpu)?;
         loaded.light = loaded.listed(gpu);
+        let sky = loaded.lighting.environment.as_ref().map(|e| &e.sky);
+        if !loaded.sky.is_of(sky) {
+            loaded.sky = SkyTexture::new(gpu, sky)?;
+        }
         loaded.bindings = bind(
             gpu,
             &self.shade,
             &self.shadow,
-            [&loaded.irradiance, &loaded.visibility],
+            [&loaded.irradiance, &loaded.visibility, &loaded.sky.view],
             &loaded.buffers,
             &loaded.light,
         )?;
@@ -613,6 +672,9 @@ impl Renderer {
         };
         for map in 0..light.maps.len() {
             frame.flags |= FIRST_SHADOW_MAP << map;
+        }
+        if let Some(environment) = &loaded.lighting.environment {
+            frame.set_sky(&environment.sky, surface.unit / loaded.sky.unit);
         }
         frame.set_camera(&request.camera, surface.centre, surface.radius, jitter);
         Ok((frame, loaded))
@@ -903,7 +965,7 @@ fn bind(
     gpu: &Gpu,
     shade: &ShadePass,
     shadow: &ShadowPass,
-    [irradiance, visibility]: [&wgpu::TextureView; 2],
+    [irradiance, visibility, sky]: [&wgpu::TextureView; 3],
     surface: &SurfaceBuffers,
     light: &Light,
 ) -> Result<wgpu::BindGroup, RenderError> {
@@ -940,6 +1002,7 @@ fn bind(
                 lobes: &lobes,
                 soft: &soft,
                 shadows: &shadows,
+                sky,
             },
         )
     })

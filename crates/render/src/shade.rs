@@ -22,6 +22,8 @@ pub(super) struct ShadePass {
     pixel_layout: wgpu::BindGroupLayout,
     pipeline: wgpu::ComputePipeline,
     sampler: wgpu::Sampler,
+    /// For lat-long pictures at several blurs.
+    around: wgpu::Sampler,
 }
 
 /// What the shader reads besides the frame.
@@ -33,6 +35,7 @@ pub(super) struct SceneBindings<'a> {
     pub lobes: &'a wgpu::Buffer,
     pub soft: &'a wgpu::Buffer,
     pub shadows: &'a wgpu::Buffer,
+    pub sky: &'a wgpu::TextureView,
 }
 
 impl ShadePass {
@@ -91,11 +94,20 @@ impl ShadePass {
                 min_filter: wgpu::FilterMode::Linear,
                 ..wgpu::SamplerDescriptor::default()
             });
+            let around = device.create_sampler(&wgpu::SamplerDescriptor {
+                label: Some("around"),
+                address_mode_u: wgpu::AddressMode::Repeat,
+                mag_filter: wgpu::FilterMode::Linear,
+                min_filter: wgpu::FilterMode::Linear,
+                mipmap_filter: wgpu::MipmapFilterMode::Linear,
+                ..wgpu::SamplerDescriptor::default()
+            });
             Self {
                 scene_layout,
                 pixel_layout,
                 pipeline,
                 sampler,
+                around,
             }
         })
     }
@@ -121,6 +133,11 @@ impl ShadePass {
                 shader::bind_buffer(9, &scene.surface.walk),
                 shader::bind_buffer(10, &scene.surface.walk_triangles),
                 shader::bind_texture(11, &scene.surface.gloss),
+                shader::bind_texture(12, scene.sky),
+                wgpu::BindGroupEntry {
+                    binding: 13,
+                    resource: wgpu::BindingResource::Sampler(&self.around),
+                },
             ],
         })
     }
@@ -163,7 +180,7 @@ impl ShadePass {
     }
 }
 
-fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 12] {
+fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 14] {
     let texture = |binding, sample_type, view_dimension| wgpu::BindGroupLayoutEntry {
         binding,
         visibility: shader::STAGES,
@@ -174,16 +191,17 @@ fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 12] {
         },
         count: None,
     };
+    let sampler = |binding| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: shader::STAGES,
+        ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
+        count: None,
+    };
     let colour = wgpu::TextureSampleType::Float { filterable: true };
     let flat = wgpu::TextureViewDimension::D2;
     let layers = wgpu::TextureViewDimension::D2Array;
     [
-        wgpu::BindGroupLayoutEntry {
-            binding: 0,
-            visibility: shader::STAGES,
-            ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
-            count: None,
-        },
+        sampler(0),
         texture(1, colour, flat),
         texture(2, colour, flat),
         texture(3, colour, flat),
@@ -195,5 +213,7 @@ fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 12] {
         shader::storage(9),
         shader::storage(10),
         texture(11, colour, flat),
+        texture(12, colour, flat),
+        sampler(13),
     ]
 }

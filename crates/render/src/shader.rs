@@ -7,7 +7,7 @@ use super::error::RenderError;
 use super::gpu::Gpu;
 
 /// Every file of `shaders/`.
-const FILES: [(&str, &str); 12] = [
+const FILES: [(&str, &str); 13] = [
     (
         "accumulate.wgsl",
         include_str!("../../../shaders/accumulate.wgsl"),
@@ -29,6 +29,7 @@ const FILES: [(&str, &str); 12] = [
     ("mirror.wgsl", include_str!("../../../shaders/mirror.wgsl")),
     ("shade.wgsl", include_str!("../../../shaders/shade.wgsl")),
     ("shadow.wgsl", include_str!("../../../shaders/shadow.wgsl")),
+    ("sky.wgsl", include_str!("../../../shaders/sky.wgsl")),
     (
         "surface.wgsl",
         include_str!("../../../shaders/surface.wgsl"),

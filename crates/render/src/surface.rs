@@ -296,14 +296,9 @@ impl Surface {
         }
     }
 
-    /// The hierarchy of the triangles, if the surface is known to mirror itself and how strongly.
+    /// The hierarchy of the triangles, if the surface mirrors what is around it.
     fn mirror_walk(&self) -> (Vec<GpuWalkNode>, Vec<u32>) {
-        if self
-            .solution
-            .brdf
-            .and_then(|b| b.specular_scale())
-            .is_none()
-        {
+        if self.solution.brdf.is_none() {
             return (Vec::new(), Vec::new());
         }
         let (nodes, list) = self.occluder.walk();

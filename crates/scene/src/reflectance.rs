@@ -305,6 +305,54 @@ impl Brdf {
         self.sigma * (2.0 * slope_squared).sqrt()
     }
 
+    /// What the lobe is of uniform light of radiance 1 as far as facets whose slopes [`Self::facet_slope`] draws mirror it to a
+    /// viewer at the cosine `cos_view`, but for [`Self::drawn_reflectance`], of which it is multiplied by the mean weighted by
+    /// (v·h)/(n·h).
+    pub fn drawn_scale(&self, cos_view: f32) -> f32 {
+        let masking_of_drawn = match self.model {
+            SpecularModel::Paper => masking(cos_view.max(MIN_COS_VIEW), self.sigma).value,
+            SpecularModel::Beckmann | SpecularModel::Ggx | SpecularModel::Metal => 1.0,
+        };
+        8.0 * std::f32::consts::PI * self.sigma * self.sigma / masking_of_drawn
+    }
+
+    /// F G₁ of a facet of the slope `tan` towards light at the cosine `cos_light`, with `cos_between` that of l and h, F being 1 at
+    /// normal incidence; in the paper's model how much more such facets count than they are drawn.
+    #[inline(always)]
+    pub fn drawn_reflectance(&self, tan: f32, cos_light: f32, cos_between: f32) -> f32 {
+        if cos_light <= 0.0 {
+            return 0.0;
+        }
+        let masking = self.model.masking(cos_light, self.sigma).value;
+        match self.model {
+            SpecularModel::Paper => {
+                let (squared, angle) = (tan * tan, tan.atan());
+                let cos_squared = 1.0 / (1.0 + squared);
+                let exponent = (squared - angle * angle) / (2.0 * self.sigma * self.sigma);
+                exponent.exp() * cos_squared * cos_squared
+            }
+            SpecularModel::Metal => masking,
+            SpecularModel::Beckmann | SpecularModel::Ggx => {
+                fresnel(cos_between) * INVERSE_NORMAL_FRESNEL * masking
+            }
+        }
+    }
+
+    /// Solid angle of half vectors, sr, that one of so many stands for, of those of which a part `u` of all facets lies nearer to the
+    /// normal; its slope is `tan`.
+    #[inline(always)]
+    pub fn drawn_solid_angle(&self, u: f32, tan: f32, count: usize) -> f32 {
+        // 1/(count · p), p = D cos α/2πσ².
+        let left = 1.0 - u;
+        let density = match self.model {
+            SpecularModel::Paper | SpecularModel::Beckmann => left,
+            SpecularModel::Ggx | SpecularModel::Metal => left * left,
+        };
+        let cos_squared = 1.0 / (1.0 + tan * tan);
+        let all = std::f32::consts::TAU * self.sigma * self.sigma;
+        all * cos_squared * cos_squared.sqrt() / (density * count as f32)
+    }
+
     /// Angle α beyond which D(α) is below `cutoff` of its peak, in radians.
     pub fn half_angle_support(&self, cutoff: f32) -> f32 {
         let reach = self.sigma * (-2.0 * cutoff.ln()).max(0.0).sqrt();

@@ -654,7 +654,7 @@ pub fn lighting(
     Lighting {
         lamps,
         remainder: strongest(strays, NEGLIGIBLE_SHARE * total),
-        environment: Vec::new(),
+        environment: None,
         ambient,
         centre: grid.centre,
         radius: grid.radius,

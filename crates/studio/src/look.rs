@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::group::{Group, solo};
 use super::lamp::{Baseline, Lamp, LampId, Origin};
-use rekindle_relight::{LampNodes, LatLong, Lighting, ProbeUnits};
+use rekindle_relight::{Environment, LatLong, Lighting, ProbeUnits};
 
 /// Lamps whose directions' cosine is above this can't be told apart by `near` in an edit.
 const SAME_PLACE: f32 = 1.0 - 1e-6;
@@ -37,8 +37,8 @@ fn solution_units() -> ProbeUnits {
 pub struct ProbeLight {
     file: PathBuf,
     picture: LatLong,
-    /// Unturned, at the picture's own brightness.
-    patches: Vec<LampNodes>,
+    /// As it is, at the picture's own brightness; none where the picture is dark.
+    environment: Option<Environment>,
     /// Radiance over all directions.
     flux: Vec3,
 }
@@ -82,7 +82,7 @@ impl ProbeLight {
         let picture = LatLong::load(file)?;
         Ok(Arc::new(Self {
             file: file.to_owned(),
-            patches: picture.patches(Quat::IDENTITY, Vec3::ONE),
+            environment: picture.environment(Quat::IDENTITY, Vec3::ONE),
             flux: picture.flux(),
             picture,
         }))
@@ -105,19 +105,10 @@ impl ProbeLight {
     }
 
     /// Its light, turned about the pole of the captured lighting and dimmed.
-    fn light(&self, probe: &Probe, captured: &Lighting) -> Vec<LampNodes> {
-        let up = captured.up;
-        let turn = Quat::from_axis_angle(up, probe.rotation);
-        let gain = self.gain(probe, captured);
-        let mut patches = self.patches.clone();
-        for patch in &mut patches {
-            patch.direction = (turn * patch.direction).normalize_or(up);
-            for node in &mut patch.nodes {
-                node.direction = turn * node.direction;
-                node.radiance *= gain;
-            }
-        }
-        patches
+    fn light(&self, probe: &Probe, captured: &Lighting) -> Option<Environment> {
+        let turn = Quat::from_axis_angle(captured.up, probe.rotation);
+        let environment = self.environment.as_ref()?;
+        Some(environment.turned(turn, self.gain(probe, captured)))
     }
 }
 
@@ -213,7 +204,7 @@ impl Look {
         let lit = &base.lighting;
         let environment = match (&self.probe, probe) {
             (Some(set), Some(light)) if self.solo.is_empty() => light.light(set, lit),
-            _ => Vec::new(),
+            _ => None,
         };
         LitLook {
             lamps: self.lamps.iter().map(|l| l.id).collect(),

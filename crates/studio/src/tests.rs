@@ -16,7 +16,7 @@ fn document() -> Document {
 fn shining(lighting: &Lighting) -> Vec<LightNode> {
     let lamps = lighting.lamps.iter().filter(|l| !l.muted);
     lamps
-        .chain(&lighting.environment)
+        .chain(lighting.environment_lamps())
         .flat_map(|l| l.nodes.iter().copied())
         .chain(lighting.remainder.iter().copied())
         .collect()

@@ -15,8 +15,8 @@ use super::texture::Texture;
 use rekindle_base::math::random::Random;
 use rekindle_capture::{Camera, Mesh};
 use rekindle_relight::{
-    Diffuse, Interreflection, LampNodes, LatLong, Lighting, Picture, Scene, Shader, Surroundings,
-    render,
+    Diffuse, Environment, Interreflection, LampNodes, LatLong, Lighting, Picture, Scene, Shader,
+    Surroundings, render,
 };
 use rekindle_scene::reflectance::Brdf;
 use rekindle_scene::surface::{Atlas, Occluder};
@@ -70,7 +70,7 @@ impl TrueSurface {
         tessellate(recipe.object, recipe.triangles)
     }
 
-    fn lighting(&self, lamps: Vec<LampNodes>, environment: Vec<LampNodes>) -> Lighting {
+    fn lighting(&self, lamps: Vec<LampNodes>, environment: Option<Environment>) -> Lighting {
         Lighting {
             environment,
             centre: self.mesh.centre(),
@@ -85,13 +85,13 @@ impl TrueSurface {
             .iter()
             .map(|lamp| lamp.nodes(self.brdf.sigma, self.strength))
             .collect();
-        self.lighting(nodes, Vec::new())
+        self.lighting(nodes, None)
     }
 
     /// The light of a probe, its radiance times `scale`.
     pub(super) fn probe(&self, probe: &LatLong, scale: f32) -> Lighting {
-        let patches = probe.patches(Quat::IDENTITY, Vec3::splat(scale * self.strength));
-        self.lighting(Vec::new(), patches)
+        let gain = Vec3::splat(scale * self.strength);
+        self.lighting(Vec::new(), probe.environment(Quat::IDENTITY, gain))
     }
 
     /// What the cameras see under a light; `each` is told every picture's number and may stop by an error.

@@ -137,7 +137,7 @@ fn groups(lighting: &Lighting) -> Vec<(String, Lighting)> {
     let alone = |i: usize| Lighting {
         lamps: vec![lighting.lamps[i].clone()],
         remainder: Vec::new(),
-        environment: Vec::new(),
+        environment: None,
         ambient: Vec3::ZERO,
         ..lighting.clone()
     };

@@ -130,11 +130,8 @@ impl Asset {
             lighting: Lighting {
                 lamps,
                 remainder: turned_nodes(&lighting.remainder, turn, &material),
-                environment: lighting
-                    .environment
-                    .iter()
-                    .map(|patch| turned_lamp(patch, turn, &material))
-                    .collect(),
+                environment: (lighting.environment.as_ref())
+                    .map(|e| e.turned(turn, Vec3::ONE / material.specular_scale)),
                 ambient: lighting.ambient / material.specular_scale,
                 centre: turn * lighting.centre,
                 radius: lighting.radius,

@@ -94,7 +94,7 @@ fn lamps(asset: &Asset) -> Vec<LampNodes> {
     let lighting = &asset.lighting;
     let strays = lighting.remainder.iter();
     let strays = strays.filter_map(|&node| LampNodes::new(vec![node], lighting.radius));
-    let lamps = lighting.lamps.iter().chain(&lighting.environment);
+    let lamps = lighting.lamps.iter().chain(lighting.environment_lamps());
     lamps.cloned().chain(strays).collect()
 }
 

@@ -8,16 +8,15 @@
 //! | OpenEXR, USD's DomeLight, Mitsuba | 0.25 | 0.50 | OpenUSD's `usdLux` schema, Mitsuba's `envmap.cpp` |
 //! | nvdiffrec, Stanford-ORB | 0.75 | 0.00 | nvdiffrec's `render/util.py` |
 
-use std::f32::consts::TAU;
+use std::f32::consts::{PI, TAU};
 
-use glam::{Quat, Vec3};
+use glam::{DVec3, Quat, Vec2, Vec3};
+use rayon::prelude::*;
 
 use super::asset::Asset;
-use rekindle_relight::LightNode;
-use rekindle_scene::hemisphere::{Picture, SkyPiece, lat_long_of};
+use rekindle_relight::{Environment, LampNodes, LightNode};
+use rekindle_scene::hemisphere::{Picture, SkyPiece, direction_from_lat_long, lat_long_of};
 
-/// Patches of an environment are rectangles with gaps between their nodes: these reach further than a lamp's.
-const ENVIRONMENT_REACH: f32 = 2.5;
 /// Half the angle of the calibration map's dots, radians.
 const DOT: f32 = 0.07;
 
@@ -84,6 +83,7 @@ impl MapLayout {
     }
 
     /// A part of the light. Σ radiance × solid angle over the pixels is that over the nodes, and 4π × the ambient part.
+    /// An environment is shown as it was given.
     pub fn map(&self, asset: &Asset, part: Part) -> Picture {
         let lighting = &asset.lighting;
         let mut pieces = Vec::new();
@@ -93,19 +93,50 @@ impl MapLayout {
             Part::Rest => {}
         }
         let mut everywhere = Vec3::ZERO;
+        let mut environment = None;
         if !matches!(part, Part::Lamp(_)) {
             pieces.extend(lighting.remainder.iter().map(piece));
-            let patches = lighting.environment.iter().flat_map(|l| &l.nodes);
-            pieces.extend(patches.map(|node| {
-                let piece = piece(node);
-                SkyPiece {
-                    reach: ENVIRONMENT_REACH * piece.reach,
-                    ..piece
-                }
-            }));
             everywhere = lighting.ambient;
+            environment = lighting.environment.as_ref();
+            let suns = environment.iter().flat_map(|e| &e.suns);
+            pieces.extend(suns.flat_map(|sun| &sun.nodes).map(piece));
         }
-        self.draw(pieces, everywhere)
+        let mut picture = self.draw(pieces, everywhere);
+        if let Some(environment) = environment {
+            self.add_sky(&mut picture, environment);
+        }
+        picture
+    }
+
+    /// Adds an environment's light but for its suns.
+    fn add_sky(&self, picture: &mut Picture, environment: &Environment) {
+        let (width, height) = (picture.width, picture.height);
+        let back = self.turn().inverse();
+        let spread = 0.5 * PI / height as f32;
+        let of_pixel = |i: u32| {
+            let place = Vec2::new((i % width) as f32, (i / width) as f32) + 0.5;
+            let uv = place / Vec2::new(width as f32, height as f32);
+            let angle = (TAU / width as f32) * (PI / height as f32) * (PI * uv.y).sin();
+            let direction = back * direction_from_lat_long(uv);
+            (environment.sky.radiance(direction, spread), angle)
+        };
+        let shown: Vec<(Vec3, f32)> = (0..width * height).into_par_iter().map(of_pixel).collect();
+        let flux = |of: DVec3| of.max(DVec3::splat(f64::MIN_POSITIVE));
+        let in_picture: DVec3 = (shown.iter())
+            .map(|(radiance, angle)| (*radiance * *angle).as_dvec3())
+            .sum();
+        let all: Vec3 = environment.patches.iter().map(LampNodes::flux).sum();
+        let held = (flux(all.as_dvec3()) / flux(in_picture)).as_vec3();
+        for (pixel, (radiance, _)) in picture.radiance.iter_mut().zip(shown) {
+            *pixel = (Vec3::from(*pixel) + held * radiance).to_array();
+        }
+    }
+
+    /// How directions are turned for the picture.
+    fn turn(&self) -> Quat {
+        // Turning a direction by −φ about +Y moves it by φ to the right.
+        let right = self.orientation.offset() * TAU + self.yaw_deg.to_radians();
+        Quat::from_rotation_y(-right)
     }
 
     /// Dots at +X (red), +Y (green) and +Z (blue) on dark grey, to see how a program turns the map.
@@ -117,9 +148,7 @@ impl MapLayout {
     }
 
     fn draw(&self, mut pieces: Vec<SkyPiece>, everywhere: Vec3) -> Picture {
-        // Turning a direction by −φ about +Y moves it by φ to the right.
-        let right = self.orientation.offset() * TAU + self.yaw_deg.to_radians();
-        let turn = Quat::from_rotation_y(-right);
+        let turn = self.turn();
         for piece in &mut pieces {
             piece.direction = turn * piece.direction;
         }

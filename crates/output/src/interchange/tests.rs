@@ -6,12 +6,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use glam::{DAffine3, DQuat, DVec2, DVec3, Mat4, Quat, Vec3};
+use glam::{DAffine3, DQuat, DVec2, DVec3, Mat4, Quat, Vec2, Vec3};
 
 use super::*;
 use rekindle_capture::{Camera, Distortion, read_cameras};
-use rekindle_relight::{Edit, LampNodes, LightNode, Lighting, apply};
-use rekindle_scene::hemisphere::Picture;
+use rekindle_relight::{Edit, LampNodes, LatLong, LightNode, Lighting, apply};
+use rekindle_scene::hemisphere::{Picture, direction_from_lat_long};
 use rekindle_solution::Solution;
 use rekindle_studio::fixtures;
 
@@ -180,6 +180,36 @@ fn no_light_is_lost_on_the_way_into_a_map() {
             (parts / expected - 1.0).abs().max_element() < 1e-3,
             "{parts}"
         );
+    }
+}
+
+#[test]
+fn an_environment_is_exported_as_the_picture_that_it_is_of() {
+    let solution = fixtures::solution();
+    let sun = Vec3::new(0.48, 0.6, -0.64);
+    let even = |d: Vec3| Vec3::new(0.7, 0.9, 1.1) * (1.5 + d.x + 0.4 * d.z);
+    let radiance = |d: Vec3| even(d) + Vec3::splat(if d.dot(sun) > 0.998 { 80.0 } else { 0.0 });
+    let picture = LatLong::of(128, radiance);
+    let lighting = Lighting {
+        environment: picture.environment(Quat::IDENTITY, Vec3::ONE),
+        ..solution.lighting().dark()
+    };
+    let asset = asset_of(&solution, &lighting);
+    // The scale is that of the material, the turn that from the solution's world to +Y up.
+    let scale = asset.material.specular_scale;
+    let map = layout(Orientation::Blender).map(&asset, Part::Rest);
+    let total = flux(&map) * scale / picture.flux();
+    assert!((total - 1.0).abs().max_element() < 2e-3, "{total}");
+    for (i, &shown) in map.radiance.iter().enumerate() {
+        let (column, row) = (i as u32 % map.width, i as u32 / map.width);
+        let uv = Vec2::new(column as f32 + 0.5, row as f32 + 0.5)
+            / Vec2::new(map.width as f32, map.height as f32);
+        let direction = asset.turn.inverse() * direction_from_lat_long(uv);
+        if direction.dot(sun) > 0.99 {
+            continue;
+        }
+        let off = Vec3::from(shown) * scale / even(direction) - 1.0;
+        assert!(off.abs().max_element() < 0.03, "{off} towards {direction}");
     }
 }
 

@@ -28,8 +28,8 @@ pub(super) fn setup(setup: &Setup, solution: &Solution, occluder: &Occluder, whi
         brdf.sigma * narrowest
     });
     let spread = LARGEST_SPREAD * sigma.map_or(DIFFUSE_VARIANCE, |sigma| sigma * sigma);
-    let environment: Vec<LightNode> = (lighting.environment.iter())
-        .filter(|patch| !patch.muted)
+    let environment: Vec<LightNode> = lighting
+        .environment_lamps()
         .flat_map(|patch| patch.nodes.iter().copied())
         .collect();
     let room = |nodes: &[LightNode]| REST.min(nodes.len());

@@ -8,7 +8,7 @@ use glam::{DVec3, Quat, Vec3};
 use serde_json::Value;
 
 use super::*;
-use rekindle_relight::{Interreflection, LampNodes, LightNode};
+use rekindle_relight::{Interreflection, LampNodes, LatLong, LightNode};
 use rekindle_studio::fixtures;
 
 fn page_of(solution: &Solution, setups: &[Setup]) -> String {
@@ -124,12 +124,10 @@ fn no_light_is_lost_and_no_setup_has_too_many_lobes() {
             LampNodes::disc(turn * Vec3::new(0.6, 0.8, 0.0), Vec3::ONE, 0.4, None)
         })
         .collect();
-    many.lighting.environment = (0..96)
-        .map(|i| {
-            let turn = Quat::from_rotation_z(0.1 * i as f32);
-            LampNodes::disc(turn * Vec3::X, Vec3::new(1.0, 2.0, 3.0), 0.2, None)
-        })
-        .collect();
+    many.lighting.environment = LatLong::of(64, |direction| {
+        Vec3::new(1.0, 2.0, 3.0) * (1.1 + direction.x)
+    })
+    .environment(Quat::IDENTITY, Vec3::ONE);
     let html = page_of(&solution, &[captured.clone(), many.clone()]);
     let scene = scene_of(&html);
     for (setup, shown) in [captured, many]
@@ -149,7 +147,11 @@ fn no_light_is_lost_and_no_setup_has_too_many_lobes() {
         }
         let nodes = |nodes: &[LightNode]| nodes.iter().map(LightNode::flux).sum();
         alike(nodes(&setup.lighting.remainder), &shown["rest"][0]["lobes"]);
-        let environment = setup.lighting.environment.iter().map(LampNodes::flux).sum();
+        let environment = setup
+            .lighting
+            .environment_lamps()
+            .map(LampNodes::flux)
+            .sum();
         alike(environment, &shown["rest"][1]["lobes"]);
         assert!(lobes <= 64 + 1, "{lobes} lobes");
     }
