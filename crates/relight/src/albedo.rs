@@ -16,13 +16,16 @@ use super::reflection::HOLLOW;
 use super::render::Scene;
 use super::shading::{Shader, ambient_gain};
 use super::triangle_shares::TriangleShares;
+use super::trust::Trust;
 use rekindle_scene::reflectance::SpecularModel;
 use rekindle_scene::surface::{Atlas, Texel};
 
-/// Irradiance below this part of the typical one says nothing about the albedo …
+/// Of a metal irradiance below this part of the typical one says nothing about the albedo …
 const DARK: f32 = 0.01;
 /// … and above this part says all.
 const LIT: f32 = 0.06;
+/// A channel with less than this part of the irradiance of the brightest one says nothing about the albedo.
+const DIM: f32 = 0.01;
 /// Texels less confident than this count as never seen.
 const SEEN: f32 = 0.01;
 
@@ -62,6 +65,7 @@ pub fn separate(
     ambient: Ambient,
 ) -> Albedo {
     let mut irradiance = texel_irradiance(scene, atlas, shader, triangles);
+    let direct: Vec<f32> = irradiance.iter().map(|e| e.element_sum() / 3.0).collect();
     if let Some(surroundings) = scene.surroundings {
         add_interreflection(
             scene,
@@ -72,11 +76,23 @@ pub fn separate(
         );
     }
     let places = Places::new(scene.mesh);
+    let mut lit = lit_places((scene, atlas), &places, texture, (&irradiance, &direct));
     let ambient = match ambient {
-        Ambient::Sought => add_ambient(scene, atlas, &places, texture, &mut irradiance),
+        Ambient::Sought => {
+            let added = ambient_beside((scene, atlas), &places, texture, (&irradiance, &lit));
+            for texel in &atlas.texels {
+                irradiance[texel.index as usize] += added;
+            }
+            for place in lit.iter_mut().flatten() {
+                place.irradiance += added;
+            }
+            added / ambient_gain(scene.brdf)
+        }
         Ambient::None => Vec3::ZERO,
     };
     let typical = typical_irradiance(atlas, &irradiance);
+    let is_metal = (scene.brdf).is_some_and(|brdf| brdf.model == SpecularModel::Metal);
+    let trust = (!is_metal).then(|| Trust::new(&places, &lit, typical));
     // The quotient at each texel, and how far it is known, 0 to 1.
     let quotients: Vec<(Vec3, f32)> = atlas
         .texels
@@ -84,12 +100,19 @@ pub fn separate(
         .map(|texel| {
             let t = texel.index as usize;
             let light = irradiance[t].element_sum() / 3.0;
-            let part = ((light / typical - DARK) / (LIT - DARK)).clamp(0.0, 1.0);
-            if texture.confidence[t] < SEEN || part <= 0.0 {
+            if texture.confidence[t] < SEEN || light <= 0.0 {
                 return (Vec3::ZERO, 0.0);
             }
             let albedo = quotient(texture.radiance[t].into(), irradiance[t]);
-            (albedo, part * part * (3.0 - 2.0 * part))
+            let known = trust.as_ref().map_or_else(
+                || lit_metal(light / typical),
+                |trust| {
+                    let (triangle, barycentric) = (texel.triangle, texel.barycentric);
+                    let nearest = places.nearest(scene.mesh, triangle, barycentric);
+                    trust.at(light, direct[t] / light, nearest)
+                },
+            );
+            (albedo, known)
         })
         .collect();
     let texels = texture.radiance.len();
@@ -99,7 +122,6 @@ pub fn separate(
         albedo[texel.index as usize] = quotient;
         known[texel.index as usize] = part;
     }
-    let is_metal = (scene.brdf).is_some_and(|brdf| brdf.model == SpecularModel::Metal);
     if let Some(around) = scene.surroundings.filter(|_| is_metal) {
         even_hollows((scene, atlas), around.interreflection, &mut albedo, &known);
     }
@@ -123,6 +145,13 @@ pub fn separate(
         albedo: albedo.iter().map(Vec3::to_array).collect(),
         ambient,
     }
+}
+
+/// How far the quotient is known of a metal where this part of the typical irradiance arrives. It has no diffuse part of which its
+/// surroundings could tell anything.
+fn lit_metal(part: f32) -> f32 {
+    let part = ((part - DARK) / (LIT - DARK)).clamp(0.0, 1.0);
+    part * part * (3.0 - 2.0 * part)
 }
 
 /// Gives the hollows of a metal the albedo that it has elsewhere: what it mirrors of itself more than once is left over there, as if it
@@ -191,17 +220,31 @@ fn fill_unknown(
     known: &[f32],
     confidence: &[f32],
 ) {
-    let weight = |t: usize| known[t] * confidence[t];
-    let filled = fill(scene.mesh, places, atlas, albedo, weight);
+    let filled = fill(scene.mesh, places, atlas, albedo, (known, confidence));
     for (texel, fill) in atlas.texels.iter().zip(filled) {
         let t = texel.index as usize;
-        albedo[t] = albedo[t] * known[t] + fill * (1.0 - known[t]);
+        albedo[t] = between(fill, albedo[t], known[t]);
     }
+}
+
+/// An albedo between a likely one and a measured one, which has this part of the contrast between the two: however large the
+/// quotient of little light is, it counts no further than it is known.
+fn between(likely: Vec3, measured: Vec3, known: f32) -> Vec3 {
+    if known >= 1.0 {
+        return measured;
+    }
+    if known <= 0.0 {
+        return likely;
+    }
+    let measured = measured.max(Vec3::ZERO);
+    let sum = (likely + measured).max(Vec3::splat(f32::MIN_POSITIVE));
+    let contrast = known * (measured - likely) / sum;
+    likely * (1.0 + contrast) / (1.0 - contrast)
 }
 
 /// Radiance ÷ irradiance. A channel in which hardly any light arrives takes what the others say.
 fn quotient(radiance: Vec3, irradiance: Vec3) -> Vec3 {
-    let enough = DARK * irradiance.max_element();
+    let enough = DIM * irradiance.max_element();
     let dim = irradiance.cmplt(Vec3::splat(enough));
     let quotient = radiance / irradiance.max(Vec3::splat(enough));
     let lit = 3 - dim.bitmask().count_ones();
@@ -209,50 +252,54 @@ fn quotient(radiance: Vec3, irradiance: Vec3) -> Vec3 {
     Vec3::select(dim, Vec3::splat(others), quotient)
 }
 
-/// Adds the ambient light's irradiance and returns its radiance. An object without any lamp is taken to be lit by ambient
-/// light alone, its albedo to be one half in the mean: the light's scale is open then.
-fn add_ambient(
-    scene: &Scene,
-    atlas: &Atlas,
+/// What the texture and its irradiance are in the mean around each place.
+fn lit_places(
+    (scene, atlas): (&Scene, &Atlas),
     places: &Places,
     texture: &DiffuseTexture,
-    irradiance: &mut [Vec3],
-) -> Vec3 {
+    (irradiance, direct): (&[Vec3], &[f32]),
+) -> Vec<Option<Lit>> {
     let weight = |t: usize| texture.confidence[t];
-    let radiance = |t: usize| Vec3::from(texture.radiance[t]);
-    let ambient = if irradiance.iter().all(|&e| e == Vec3::ZERO) {
+    let all = |t: usize| {
+        let direct = Vec3::splat(direct[t]);
+        [texture.radiance[t].into(), irradiance[t], direct]
+    };
+    let lit = |(means, area): (Option<[Vec3; 3]>, f32)| {
+        let [radiance, irradiance, direct] = means?;
+        Some(Lit {
+            radiance,
+            irradiance,
+            direct: direct.x,
+            area,
+        })
+    };
+    let gathered = places.gather(scene.mesh, atlas, all, weight).into_iter();
+    let areas = places.areas(scene.mesh);
+    gathered.zip(areas).map(lit).collect()
+}
+
+/// The ambient light's irradiance beside this one, of texels and of places. An object without any lamp is taken to be lit by
+/// ambient light alone, its albedo to be one half in the mean: the light's scale is open then.
+fn ambient_beside(
+    (scene, atlas): (&Scene, &Atlas),
+    places: &Places,
+    texture: &DiffuseTexture,
+    (irradiance, lit): (&[Vec3], &[Option<Lit>]),
+) -> Vec3 {
+    if irradiance.iter().all(|&e| e == Vec3::ZERO) {
         let mut mean = Mean::default();
         for texel in atlas.texels.iter().filter(|t| !t.gutter) {
-            mean.add(radiance(texel.index as usize), weight(texel.index as usize));
+            let t = texel.index as usize;
+            mean.add(texture.radiance[t].into(), texture.confidence[t]);
         }
         Vec3::splat(2.0 * mean.value().element_sum() / 3.0)
     } else if (scene.brdf).is_some_and(|brdf| brdf.model == SpecularModel::Metal) {
         // It has no diffuse part that could show any.
         Vec3::ZERO
     } else {
-        let both = |t: usize| [radiance(t), irradiance[t]];
-        let lit: Vec<Option<Lit>> = places
-            .gather(scene.mesh, atlas, both, weight)
-            .into_iter()
-            .zip(places.areas(scene.mesh))
-            .map(|(means, area)| {
-                let [radiance, irradiance] = means?;
-                Some(Lit {
-                    radiance,
-                    irradiance,
-                    area,
-                })
-            })
-            .collect();
         let typical = typical_irradiance(atlas, irradiance);
-        ambient_irradiance(&lit, &|place| places.around(place), typical)
-    };
-    if ambient != Vec3::ZERO {
-        for texel in &atlas.texels {
-            irradiance[texel.index as usize] += ambient;
-        }
+        ambient_irradiance(lit, &|place| places.around(place), typical)
     }
-    ambient / ambient_gain(scene.brdf)
 }
 
 /// Adds what the surface itself sends: its radiance is known from the pictures, and taken for the mean where it is not.
@@ -325,4 +372,28 @@ pub(super) fn typical_irradiance(atlas: &Atlas, irradiance: &[Vec3]) -> f32 {
         .select_nth_unstable_by(at, f32::total_cmp)
         .1
         .max(f32::MIN_POSITIVE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_hardly_known_stays_near_what_is_likely_however_large_it_is() {
+        let likely = Vec3::new(0.5, 0.2, 0.0);
+        for measured in [0.0, 1e-9, 0.3, 1e9, f32::MAX] {
+            let found = between(likely, Vec3::splat(measured), 0.05);
+            assert!(found.is_finite(), "{found}");
+            assert!(
+                (found - likely).abs().cmple(0.11 * likely + 1e-6).all(),
+                "{found}"
+            );
+        }
+        let measured = Vec3::new(0.1, 0.9, 0.4);
+        assert_eq!(between(likely, measured, 1.0), measured);
+        assert_eq!(between(likely, Vec3::INFINITY, 0.0), likely);
+        let half = between(likely, measured, 0.5);
+        let within = half.cmpgt(likely.min(measured)) & half.cmplt(likely.max(measured));
+        assert!(within.x && within.y, "{half}");
+    }
 }

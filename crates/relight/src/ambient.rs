@@ -36,6 +36,8 @@ const FINER: i32 = 8;
 pub(super) struct Lit {
     pub radiance: Vec3,
     pub irradiance: Vec3,
+    /// Of that what comes straight from lights, in the mean over channels.
+    pub direct: f32,
     pub area: f32,
 }
 
@@ -204,6 +206,7 @@ mod tests {
                 places.push(Some(Lit {
                     radiance: albedo * (irradiance + ambient),
                     irradiance,
+                    direct: mean(irradiance),
                     area: 1.0,
                 }));
                 let mut near = Vec::new();
@@ -281,6 +284,7 @@ mod tests {
                 Some(Lit {
                     radiance: lit.radiance * 1e-4,
                     irradiance: lit.irradiance * 1e-4,
+                    direct: lit.direct * 1e-4,
                     area: lit.area,
                 })
             })

@@ -1,6 +1,6 @@
 //! Fills what no view saw, or no light reached, from its surroundings.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::albedo::Mean;
@@ -19,6 +19,8 @@ const FEW_PLACES: usize = 500_000;
 pub(super) struct Places {
     /// Place of each vertex.
     of: Vec<u32>,
+    /// Where each place is.
+    positions: Vec<Vec3>,
     /// Places joined to place `i` by an edge: `list[starts[i]..starts[i + 1]]`.
     starts: Vec<u32>,
     list: Vec<u32>,
@@ -29,16 +31,44 @@ impl Places {
         let of = mesh.places();
         let count = of.iter().map(|&w| w as usize + 1).max().unwrap_or(0);
         let (starts, list) = neighbours(mesh, &of, count);
-        Self { of, starts, list }
+        let mut positions = vec![Vec3::ZERO; count];
+        for (&place, &position) in of.iter().zip(&mesh.positions) {
+            positions[place as usize] = position;
+        }
+        Self {
+            of,
+            positions,
+            starts,
+            list,
+        }
     }
 
     pub(super) fn count(&self) -> usize {
         self.starts.len() - 1
     }
 
+    pub(super) fn position(&self, place: usize) -> Vec3 {
+        self.positions[place]
+    }
+
     /// Places joined to a place by an edge.
     pub(super) fn around(&self, place: usize) -> &[u32] {
         &self.list[self.starts[place] as usize..self.starts[place + 1] as usize]
+    }
+
+    /// The place nearest to a point of a triangle, by the weights of its second and third corner.
+    pub(super) fn nearest(&self, mesh: &Mesh, triangle: u32, barycentric: Vec2) -> usize {
+        let [a, b, c] = mesh.triangles[triangle as usize];
+        let (u, v) = (barycentric.x, barycentric.y);
+        let first = 1.0 - u - v;
+        let corner = if first >= u.max(v) {
+            a
+        } else if u >= v {
+            b
+        } else {
+            c
+        };
+        self.of[corner as usize] as usize
     }
 
     /// The area that each place stands for, in square units of the mesh: a third of the triangles that meet there.
@@ -105,20 +135,33 @@ impl Places {
 }
 
 /// For every entry of `atlas.texels`, what its surroundings say about its albedo: known values are gathered at the
-/// vertices, spread over the mesh's edges to those without, and interpolated.
+/// vertices, spread over the mesh's edges to those without, and interpolated. What is `known`, 0 to 1, counts by its confidence.
 pub(super) fn fill(
     mesh: &Mesh,
     places: &Places,
     atlas: &Atlas,
     albedo: &[Vec3],
-    weight: impl Fn(usize) -> f32 + Sync,
+    (known, confidence): (&[f32], &[f32]),
 ) -> Vec<Vec3> {
-    let gathered = places.gather(mesh, atlas, |t| [albedo[t]], &weight);
-    let mut value: Vec<Option<Vec3>> = gathered.into_iter().map(|v| v.map(|[v]| v)).collect();
+    // A place of which the surroundings tell more than it does itself is filled.
+    let told = |t: usize| {
+        let counts = if known[t] >= 0.5 { known[t] } else { 0.0 };
+        let albedo = if counts > 0.0 { albedo[t] } else { Vec3::ZERO };
+        [albedo * counts, Vec3::new(counts, known[t], 0.0)]
+    };
+    let gathered = places.gather(mesh, atlas, told, |t| confidence[t]);
+    let mut value: Vec<Option<Vec3>> = (gathered.into_iter())
+        .map(|told| {
+            told.filter(|[_, k]| k.y >= 0.5 && k.x > 0.0)
+                .map(|[sum, k]| sum / k.x)
+        })
+        .collect();
     let mut mean = Mean::default();
     for texel in atlas.texels.iter().filter(|t| !t.gutter) {
         let t = texel.index as usize;
-        mean.add(albedo[t], weight(t));
+        if known[t] >= 0.5 {
+            mean.add(albedo[t], known[t] * confidence[t]);
+        }
     }
     let mean = mean.value();
     let fixed: Vec<bool> = value.iter().map(Option::is_some).collect();

@@ -33,6 +33,7 @@ mod samples;
 mod shading;
 mod sky;
 mod triangle_shares;
+mod trust;
 mod view_transform;
 
 pub use albedo::{Albedo, Ambient, filled_albedo, light_texture, separate};
