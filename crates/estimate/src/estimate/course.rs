@@ -6,7 +6,7 @@ use super::below::{AllAround, is_lit_from_below};
 use super::fast::{CoarseFit, Fit, Solver, Watch};
 use super::gloss;
 use super::held_out::{
-    CHANCE, gain, leaves_less, predicts_better, roughly_left_out, shows_gloss, sparse,
+    CHANCE, LeftAt, gain, leaves_less, predicts_better, roughly_left_out, shows_gloss, sparse,
 };
 use super::observations::Seen;
 use super::observer::{Interim, Stopped, go_on};
@@ -394,8 +394,30 @@ fn on_refined(
         if named.is_some_and(|named| named.leaves <= worth) {
             return Ok(None);
         }
+        if outdone_by_parts((on_mesh, coarse), &after, choice, watch)? {
+            return Ok(None);
+        }
         on_glossy(solver, start, (&mut relief, &on_mesh.seen), choice, watch)
     })
+}
+
+/// Whether parts of the solver's own surface, whose fit is `coarse`, leave less of views left out than another surface, on which `after`
+/// is left, beyond chance: turned normals can stand for gloss that differs from place to place.
+fn outdone_by_parts(
+    (solver, coarse): (&Solver<'_>, &CoarseFit<'_>),
+    after: &[LeftAt],
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<bool, Stopped> {
+    let Patches::Likely(parts) = patches(solver, coarse, watch)? else {
+        return Ok(false);
+    };
+    let parted = solver.parted(&parts);
+    let (fit, _) = choose(&parted, choice, watch)?;
+    let by_parts = roughly_left_out(&parted, &fit.state);
+    let [left_after, left_by_parts] =
+        [after, &by_parts].map(|left| left.iter().map(|at| at.left).sum::<f64>());
+    Ok(left_by_parts < left_after && leaves_less(after, &by_parts) > CHANCE)
 }
 
 /// The end on a surface that is refined with parts that may be, if gloss then shows on it whatever these are.
