@@ -11,7 +11,7 @@ use super::held_out::{
 use super::observations::Seen;
 use super::observer::{Interim, Stopped, go_on};
 use super::relief::{self, Bench, RefinedSurface, Relief};
-use super::shading::LightByShading;
+use super::shading::{Agreement, LightByShading};
 use super::state::{ROUGH, State};
 use super::suspects::{Suspicion, better_lobe, left};
 use super::{diagnose, exposures, sparse_gloss, stated_gloss, strengths};
@@ -66,6 +66,8 @@ pub struct Ending {
     pub grid: HemisphereGrid,
     /// What says that there is gloss.
     pub grounds: Grounds,
+    /// How far the shading has the same lights, where the fit leaves so much that this is asked.
+    pub agreement: Option<Agreement>,
 }
 
 /// What says that there is gloss, and what lights there are.
@@ -149,7 +151,8 @@ fn may_be_bettered(solver: &Solver<'_>, outcome: &Outcome) -> bool {
             Outcome::Found(ending) => {
                 let is_only =
                     solver.first.is_none() && ending.fit.brdf.model != SpecularModel::Metal;
-                let is_doubted = is_only && diagnose::misfit(&ending.fit.misfit).is_some();
+                let is_doubted =
+                    is_only && diagnose::is_doubted(&ending.fit.misfit, ending.agreement);
                 (ending.grounds == Grounds::Stated || is_doubted) && ending.refined.is_none()
             }
             Outcome::Exposures(_) => false,
@@ -166,7 +169,7 @@ pub fn borne_out(
     let outcome = sought(&solver.near_to(directions), rules, watch)?;
     let is_sound = match &outcome {
         Outcome::Found(ending) => {
-            diagnose::misfit(&ending.fit.misfit).is_none()
+            !diagnose::is_doubted(&ending.fit.misfit, ending.agreement)
                 && light.bears_out(solver, &ending.grid, &ending.fit.nodes)
         }
         Outcome::Nothing(..) => false,
@@ -546,6 +549,16 @@ fn end(
         };
         (fit, suspicion)
     };
+    // A metal has no diffuse part, and what turns before its light another one in each view.
+    let is_asked = diagnose::leaves_misfit(&fit.misfit)
+        && fit.brdf.model != SpecularModel::Metal
+        && solver.seen.turning.is_none();
+    let agreement = if is_asked && !watch.observer.enough() {
+        go_on(watch.observer.progress("comparing with the shading", 0.9))?;
+        Agreement::of(solver, &fit.nodes)
+    } else {
+        None
+    };
     let is_told = solver.sigma.is_none() && bound.is_none();
     let allowed = if is_told && diagnose::is_broad(&coarse.state) {
         allowed_factors(&coarse.state)
@@ -561,6 +574,7 @@ fn end(
         allowed,
         grid: solver.grid.clone(),
         grounds: Grounds::Views,
+        agreement,
     })
 }
 

@@ -5,6 +5,7 @@ use super::fast::{CoarseFit, Fit};
 use super::misfit::Misfit;
 use super::observations::{Observations, Seen};
 use super::relief::RefinedSurface;
+use super::shading::Agreement;
 use super::state::State;
 use super::suspects::{Suspect, Suspicion, determines_roughness};
 use super::weights::median;
@@ -203,7 +204,7 @@ pub fn refined(surface: &RefinedSurface) -> String {
 
 /// Whether a fit leaves so much that is no noise that what is wrong should be looked for.
 pub fn is_middling(misfit: &Misfit) -> bool {
-    misfit.share > MOST_MISFIT || misfit.correlation > MIDDLING_CORRELATION
+    leaves_misfit(misfit) || misfit.correlation > MIDDLING_CORRELATION
 }
 
 /// Whether a suspicion changes what is said of a fit whose σ noise leaves unsure by a part `by_noise`. A view that holds most of a highlight
@@ -218,9 +219,20 @@ pub fn is_worth_saying(suspicion: &Suspicion, misfit: &Misfit, by_noise: f32) ->
     }
 }
 
-/// What to doubt about a fit that leaves more than noise unexplained.
-pub fn misfit(misfit: &Misfit) -> Option<String> {
-    (misfit.share > MOST_MISFIT).then(|| {
+/// Whether a fit leaves more than noise unexplained.
+pub fn leaves_misfit(misfit: &Misfit) -> bool {
+    misfit.share > MOST_MISFIT
+}
+
+/// Whether it is to be doubted for that: what is left may come of much that changes no light, but where the shading has other lights, or
+/// nobody has asked, it may come of these.
+pub fn is_doubted(misfit: &Misfit, agreement: Option<Agreement>) -> bool {
+    leaves_misfit(misfit) && !agreement.is_some_and(|agreement| agreement.is_close())
+}
+
+/// What to say of a fit that leaves more than noise unexplained.
+pub fn misfit(misfit: &Misfit, agreement: Option<Agreement>) -> Option<String> {
+    leaves_misfit(misfit).then(|| {
         let share = 100.0 * misfit.share;
         let tilt = &misfit.tilt;
         let cause = if tilt.explained > MOSTLY {
@@ -228,13 +240,33 @@ pub fn misfit(misfit: &Misfit) -> Option<String> {
         } else {
             "; the rest may be gloss that changes from place to place or is of another form, or cameras that are off."
         };
+        let verdict = if is_doubted(misfit, agreement) {
+            ", and are not to be trusted"
+        } else {
+            ""
+        };
+        let witness = agreement.map_or_else(String::new, of_shading);
         format!(
-            "Roughness and lights leave {share:.0} % of the differences between views unexplained, beyond the noise, and are \
-             not to be trusted. Normals turned by about {:.1}° would explain {:.0} % of that{cause}",
+            "Roughness and lights leave {share:.0} % of the differences between views unexplained, beyond the noise{verdict}. \
+             Normals turned by about {:.1}° would explain {:.0} % of that{cause}{witness}",
             tilt.angle.to_degrees(),
             100.0 * tilt.explained
         )
     })
+}
+
+/// What the shading says of the lights.
+fn of_shading(agreement: Agreement) -> String {
+    let verdict = if agreement.is_close() {
+        "bears the lights out"
+    } else {
+        "contradicts the lights"
+    };
+    format!(
+        " The shading, which had no say in it, {verdict}: it has them up to {:.1}° away, and {:.0} % of their flux in others.",
+        agreement.apart.to_degrees(),
+        100.0 * agreement.elsewhere
+    )
 }
 
 /// What to doubt where a changed assumption explains the photographs, which are `views`, better; `stated` is the distance of

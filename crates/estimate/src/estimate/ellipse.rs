@@ -38,6 +38,13 @@ impl Frame {
         let plane = Vec2::new(d.dot(self.x), d.dot(self.y));
         plane.normalize_or_zero() * plane.length().atan2(d.dot(self.pole))
     }
+
+    /// The direction of such angles.
+    fn direction(&self, angles: Vec2) -> Vec3 {
+        let (sin, cos) = angles.length().sin_cos();
+        let towards = angles.normalize_or_zero();
+        cos * self.pole + sin * (towards.x * self.x + towards.y * self.y)
+    }
 }
 
 /// A symmetric matrix's eigenvalues, the larger first, and the unit eigenvector of that.
@@ -103,6 +110,25 @@ impl Ellipse {
     pub fn roundness(&self) -> f32 {
         let (long, short, _) = eigen(self.shape);
         short / long
+    }
+
+    /// The direction of its middle.
+    pub fn middle(&self) -> Vec3 {
+        self.frame.direction(self.centre)
+    }
+
+    /// With semi-axes that are so many times as long.
+    pub fn scaled(&self, factor: f32, grid: &HemisphereGrid) -> Self {
+        Self {
+            shape: factor * self.shape,
+            ..*self
+        }
+        .no_smaller_than(0.5 * grid.spacing())
+    }
+
+    /// Of another flux.
+    pub fn with_flux(&self, flux: Vec3) -> Self {
+        Self { flux, ..*self }
     }
 
     /// As strong as some multiple of it in each channel.

@@ -898,7 +898,7 @@ fn told(
     let doubts = [
         turned.doubt,
         units(brdf.model, reflectance),
-        diagnose::misfit(&misfit),
+        diagnose::misfit(&misfit, None),
     ];
     estimate.diagnostics.well_posed = doubts.iter().all(Option::is_none);
     estimate.diagnostics.warnings = doubts.into_iter().flatten().collect();

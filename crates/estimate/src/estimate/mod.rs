@@ -575,7 +575,7 @@ fn run(
             if let Some(light) = by_shading {
                 let said = diagnose::BY_SHADING.to_owned();
                 result.diagnostics.warnings.push(said);
-                (result.grid, result.radiance) = (light.grid().clone(), light.nodes());
+                (result.grid, result.radiance) = (light.grid().clone(), light.nodes().to_vec());
             }
         }
         Outcome::Found(ending) => {
@@ -651,6 +651,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         allowed,
         grid,
         grounds,
+        agreement,
     } = ending;
     let sigma = fit.brdf.sigma;
     let by_noise = HALF_INTERVAL * fit.noise_error / sigma;
@@ -671,16 +672,22 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
     let unconfirmed = diagnose::grounds(grounds).map(str::to_owned);
     let stated = solver.near.map(|(_, radius)| radius);
     // A cause that has a name is said in place of what it leaves.
-    let misfit = match suspicion {
-        Some(suspicion) => Some(diagnose::suspicion(suspicion, stated, solver.seen.views)),
-        None => diagnose::misfit(&fit.misfit),
+    let suspected = suspicion.map(|s| diagnose::suspicion(s, stated, solver.seen.views));
+    let misfit = match &suspected {
+        Some(_) => None,
+        None => diagnose::misfit(&fit.misfit, agreement),
+    };
+    let (doubted, noted) = if diagnose::is_doubted(&fit.misfit, agreement) {
+        (misfit, None)
+    } else {
+        (None, misfit)
     };
     let unresolved = diagnose::unresolved(&solver.seen, &fit);
-    let doubts = [unconfirmed, open, misfit, unresolved];
+    let doubts = [unconfirmed, open, suspected, doubted, unresolved];
     result.diagnostics.well_posed = doubts.iter().all(Option::is_none);
     let refined = result.refined.as_ref().map(diagnose::refined);
     let metal = (fit.brdf.model == SpecularModel::Metal).then(|| diagnose::METAL.to_owned());
-    let warnings = refined.into_iter().chain(metal);
+    let warnings = refined.into_iter().chain(metal).chain(noted);
     let warnings = warnings.chain(doubts.into_iter().flatten());
     result.diagnostics.warnings.extend(warnings);
     result.misfit = Some(fit.misfit.share);

@@ -78,6 +78,7 @@ pub fn found(
             allowed: [1.0; 2],
             grid: light.grid().clone(),
             grounds: Grounds::FewParts,
+            agreement: None,
         }))
 }
 
@@ -111,7 +112,7 @@ fn judged(
 ) -> Vec<Judged> {
     let parted = parts.map(|parts| whole.parted(parts));
     let solver = parted.as_ref().unwrap_or(whole);
-    let tried = lights(whole.grid, by_highlights, &light.nodes());
+    let tried = lights(whole.grid, by_highlights, light.nodes());
     let held = |nodes: &Vec<[f32; 3]>| HeldLights::of(solver, brdf, nodes);
     let held: Vec<HeldLights> = tried.iter().map(held).collect();
     let cells = held.iter().flat_map(|lights| lights.cells.iter().copied());

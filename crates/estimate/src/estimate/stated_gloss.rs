@@ -33,13 +33,11 @@ pub fn under_shading(
     let around = AllAround::of(solver);
     let whole = around.solver(solver);
     let nodes = light.nodes();
-    let Some(under) = lobe_under(&whole, &nodes, choice.or(&DIELECTRICS), watch)? else {
+    let Some(under) = lobe_under(&whole, nodes, choice.or(&DIELECTRICS), watch)? else {
         return Ok(None);
     };
     let scale = Vec3::from(under.scale);
-    let scaled = nodes
-        .into_iter()
-        .map(|l| (scale * Vec3::from(l)).to_array());
+    let scaled = nodes.iter().map(|&l| (scale * Vec3::from(l)).to_array());
     Ok(Some(Ending {
         fit: Fit {
             brdf: under.brdf,
@@ -56,5 +54,6 @@ pub fn under_shading(
         allowed: [1.0; 2],
         grid: light.grid().clone(),
         grounds: Grounds::StatedUnderShading,
+        agreement: None,
     }))
 }

@@ -15,7 +15,7 @@ use super::cells::{Cell, Pyramid};
 use super::course::{Ending, Grounds};
 use super::design::{Design, Prediction};
 use super::observations::{Observations, Point, Row};
-use super::shading::LightByShading;
+use super::shading::{Agreement, LightByShading};
 use super::state::{EXACT, State};
 use super::visibility::SeenCells;
 use super::weights::{initial_weights, residuals, robust_weights};
@@ -414,15 +414,9 @@ fn a_scan_of_a_surface_half_of_which_has_no_gloss_is_refined() {
 fn lights_that_the_shading_contradicts_are_told() {
     with_solver(&matte(), |solver| {
         let by_shading = LightByShading::of(solver).expect("two lamps shade");
-        let bears_out = |lamps: &[(Vec3, f32)]| {
-            let mut nodes = vec![[0.0; 3]; solver.grid.directions.len()];
-            for &(direction, flux) in lamps {
-                nodes[solver.grid.nearest(direction).unwrap()] = [flux; 3];
-            }
-            by_shading.bears_out(solver, solver.grid, &nodes)
-        };
-        // From the truth.json of spot_paper.
-        let [one, other] = [(LAMPS[0], 2.353), (LAMPS[1], 1.647)];
+        let bears_out =
+            |lamps: &[(Vec3, f32)]| by_shading.bears_out(solver, solver.grid, &lit(solver, lamps));
+        let [one, other] = [(LAMPS[0], FLUXES[0]), (LAMPS[1], FLUXES[1])];
         assert!(bears_out(&[one, other]), "the lamps as they are");
         let brighter = [one, other].map(|(direction, flux)| (direction, 5.0 * flux));
         assert!(bears_out(&brighter), "their strength is open");
@@ -430,6 +424,60 @@ fn lights_that_the_shading_contradicts_are_told() {
         let turn = glam::Quat::from_rotation_y(0.5);
         let turned = [one, other].map(|(direction, flux)| (turn * direction, flux));
         assert!(!bears_out(&turned), "lamps that are elsewhere");
+    });
+}
+
+/// Nodes of lamps in directions, of these fluxes.
+fn lit(solver: &Solver<'_>, lamps: &[(Vec3, f32)]) -> Vec<[f32; 3]> {
+    let mut nodes = vec![[0.0; 3]; solver.grid.directions.len()];
+    for &(direction, flux) in lamps {
+        nodes[solver.grid.nearest(direction).unwrap()] = [flux; 3];
+    }
+    nodes
+}
+
+// From the truth.json of spot_paper.
+const FLUXES: [f32; 2] = [2.353, 1.647];
+
+#[test]
+fn shading_tells_lamps_to_half_a_degree() {
+    with_solver(&matte(), |solver| {
+        let by_shading = LightByShading::of(solver).expect("two lamps shade");
+        let lamps = find_lamps(by_shading.grid(), by_shading.nodes());
+        assert_eq!(lamps.len(), 2);
+        for (lamp, truth) in lamps.iter().zip(LAMPS) {
+            let off = lamp.direction.angle_between(truth).to_degrees();
+            assert!(off < 0.5, "{off}° off");
+            let radius = lamp.angular_radius.to_degrees();
+            assert!(radius < 6.0, "a cell is 16° wide, and this {radius}°");
+        }
+        let ratio = lamps[0].mean_flux() / lamps[1].mean_flux();
+        let truth = FLUXES[0] / FLUXES[1];
+        assert!((ratio / truth - 1.0).abs() < 0.05, "{ratio} for {truth}");
+    });
+}
+
+#[test]
+fn shading_agrees_with_the_lamps_that_were_there_and_with_no_others() {
+    with_solver(&load(), |solver| {
+        let agreement = |lamps: &[(Vec3, f32)]| {
+            Agreement::of(solver, &lit(solver, lamps)).expect("there are lamps")
+        };
+        let there = [(LAMPS[0], FLUXES[0]), (LAMPS[1], FLUXES[1])];
+        let close = agreement(&there);
+        assert!(close.is_close(), "{close:?}");
+        // Nobody knows how bright they were, and shading doesn't say.
+        let brighter = there.map(|(direction, flux)| (direction, 5.0 * flux));
+        assert!(agreement(&brighter).is_close());
+        let false_light = (Vec3::new(0.1, 0.5, 0.86).normalize_or_zero(), 0.8);
+        let far = agreement(&[there[0], there[1], false_light]);
+        assert!(!far.is_close(), "{far:?}");
+        let [one, other] = there;
+        let far = agreement(&[(one.0, other.1), (other.0, one.1)]);
+        assert!(!far.is_close(), "{far:?}");
+        let turn = glam::Quat::from_rotation_y(0.15);
+        let far = agreement(&there.map(|(direction, flux)| (turn * direction, flux)));
+        assert!(!far.is_close(), "{far:?}");
     });
 }
 
@@ -510,7 +558,7 @@ fn a_stated_gloss_is_as_strong_as_views_allow_under_the_light_by_shading() {
             };
             let choice = SpecularChoice::Model(SpecularModel::Paper);
             let found = stated_gloss::under_shading(&stated, &light, choice, &mut watch).unwrap();
-            found.map(|ending| (ending, light.nodes()))
+            found.map(|ending| (ending, light.nodes().to_vec()))
         })
     };
     // The roughness of spot_paper's truth.json.

@@ -9,25 +9,34 @@
 //! with E of mean 1. Edges of the texture say little there, nor does what is nearly black: d and e are a part of the means. It is
 //! what Retinex takes for shading (Land and McCann, "Lightness and Retinex theory", 1971), with shape and shadows known. λ is
 //! what explains points that had no say best. The channels are then sought one by one, each with a mean of 1: the
-//! light is white on the whole, and known up to its strength.
+//! light is white on the whole, and known up to its strength. What the cells show is then told as [`discs`], to a fraction of a degree, and
+//! where highlights have told lights, these are a witness of them ([`agreement`]).
 
+use std::f64::consts::PI;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use faer::Mat;
 use glam::Vec3;
 use rayon::prelude::*;
+use rstar::RTree;
+use rstar::primitives::GeomWithData;
 
-use super::cells::{Cell, Pyramid};
+mod agreement;
+mod discs;
+
+use super::cells::{Cell, CellGeometry, Pyramid};
 use super::fast::Solver;
 use super::lobes::light_from;
 use super::neighbours::Neighbours;
 use super::observations::{Observations, Point};
 use super::weights::{magnitude, median};
+pub use agreement::Agreement;
+use discs::{Discs, Fitting, Receivers};
 use rekindle_base::math::nnls::{self, NnlsParams};
 use rekindle_base::math::ranks::{SURE, placed_signed_ranks, signed_ranks};
-use rekindle_scene::hemisphere::HemisphereGrid;
+use rekindle_scene::hemisphere::{HemisphereGrid, find_lamps};
 
-/// Points that are looked at, and frequency of the grid of the cells: 162 of them, 16° apart.
+/// Receivers that are looked at, and frequency of the grid of the cells: 162 of them, 16° apart.
 const POINTS: usize = 3000;
 const FREQUENCY: u32 = 4;
 
@@ -79,6 +88,8 @@ pub struct LightByShading {
     cells: Vec<Cell>,
     /// Radiance of each cell, RGB, in the capture's units.
     radiance: Vec<[f32; 3]>,
+    /// Radiance of each node, RGB, by discs where these say more than cells.
+    nodes: Vec<[f32; 3]>,
 }
 
 impl LightByShading {
@@ -90,6 +101,7 @@ impl LightByShading {
         let mut cells = pyramid.roots();
         let pairs = pairs(&observations.points);
         let mut shading = Shading::new(solver, &observations, &pyramid, &cells, &pairs);
+        let beside = shading.beside(solver, &observations.points, &pyramid.geometry(&cells));
         let (smoothness, mut judged) = shading.smoothness()?;
         for _ in 0..SPLITS {
             let x = shading.light(shading.pairs, smoothness);
@@ -108,20 +120,42 @@ impl LightByShading {
         // The others are left to the ambient light, which is read off the texture.
         let bright = brightest(&x, &shading.mean, MOST);
         let unit = f64::from(solver.coarse.scale) * shading.usual / MEAN_ALBEDO;
-        let channels = [0, 1, 2].map(|channel| {
-            shading.radiance = over_mean(&diffuse(&observations, |v| v[channel])).1;
+        let gray = std::mem::take(&mut shading.radiance);
+        let by_channel =
+            [0, 1, 2].map(|channel| over_mean(&diffuse(&observations, |v| v[channel])).1);
+        let channels = by_channel.each_ref().map(|radiance| {
+            shading.radiance.clone_from(radiance);
             shading.light(shading.pairs, smoothness)
         });
         let of_cell = |k: usize| {
             let unit = if bright[k] { unit } else { 0.0 };
             channels.each_ref().map(|x| (unit * x[k]) as f32)
         };
-        let radiance = (0..cells.len()).map(of_cell).collect();
+        let radiance: Vec<[f32; 3]> = (0..cells.len()).map(of_cell).collect();
+        let by_cells = pyramid.to_nodes(&cells, &radiance);
+        let start = Discs::of(&find_lamps(&grid, &by_cells), &grid, &by_cells);
+        let on = Receivers {
+            solver,
+            grid: &grid,
+            points: &observations.points,
+        };
+        let fitting = Fitting {
+            on,
+            radiance: &gray,
+            beside: &beside,
+            regions: &start.regions(&on),
+        };
+        let nodes = fitting
+            .better(&start, &pairs, &judged)
+            .map_or(by_cells, |discs| {
+                fitting.nodes(&discs, &by_channel, &pairs, unit)
+            });
         Some(Self {
             grid,
             pyramid,
             cells,
             radiance,
+            nodes,
         })
     }
 
@@ -131,8 +165,8 @@ impl LightByShading {
     }
 
     /// Radiance per node, RGB.
-    pub fn nodes(&self) -> Vec<[f32; 3]> {
-        self.pyramid.to_nodes(&self.cells, &self.radiance)
+    pub fn nodes(&self) -> &[[f32; 3]] {
+        &self.nodes
     }
 
     /// Whether other lights make neighbouring albedos differ by no more than this one does, in most parts of the surface: what is fitted to
@@ -296,8 +330,7 @@ impl<'a> Shading<'a> {
 
     /// Every second point's pairs.
     fn half(&self, half: usize) -> Vec<[usize; 2]> {
-        let pairs = self.pairs.iter().copied();
-        pairs.filter(|pair| pair[0] % 2 == half).collect()
+        every_second(self.pairs, half)
     }
 
     /// Irradiance of each point.
@@ -306,16 +339,17 @@ impl<'a> Shading<'a> {
         self.irradiance.par_iter().map(sum).collect()
     }
 
-    /// Logarithm of the ratio of each pair's albedos under a light.
-    fn differences(&self, pairs: &[[usize; 2]], lit: &[f64]) -> Vec<f64> {
-        let albedo = |p: usize| ((self.radiance[p] + DARK) / (lit[p] + DARK)).ln();
-        pairs.iter().map(|&[p, q]| albedo(p) - albedo(q)).collect()
+    /// Irradiance of each point by light from everywhere, and by what the surface sends to itself, in units of the points' radiance, where
+    /// the shading is of cells all around.
+    fn beside(&self, solver: &Solver<'_>, points: &[Point], cells: &CellGeometry) -> [Vec<f64>; 2] {
+        let everywhere = self.normalised(vec![1.0; self.mean.len()]);
+        let bounced = bounced(solver, points, (&self.radiance, &cells.directions));
+        [self.lit(&everywhere), bounced]
     }
 
     /// How far each pair's albedos differ under a light.
     fn contrasts(&self, pairs: &[[usize; 2]], x: &[f64]) -> Vec<f64> {
-        let differences = self.differences(pairs, &self.lit(x)).into_iter();
-        differences.map(f64::abs).collect()
+        contrasts(pairs, &self.radiance, &self.lit(x))
     }
 
     /// The light by which the mean irradiance is 1.
@@ -348,12 +382,8 @@ impl<'a> Shading<'a> {
     fn improved(&self, pairs: &[[usize; 2]], smoothness: f64, x: &[f64]) -> Vec<f64> {
         let n = self.mean.len();
         let lit = self.lit(x);
-        let differences = self.differences(pairs, &lit);
-        let mut sizes: Vec<f32> = differences.iter().map(|d| d.abs() as f32).collect();
-        let usual = f64::from(median(&mut sizes)).max(LEAST_DIFFERENCE);
-        let weights: Vec<f64> = (differences.iter())
-            .map(|d| (1.0 + (d / usual).powi(2)).sqrt().recip())
-            .collect();
+        let differences = differences(pairs, &self.radiance, &lit);
+        let (_, weights) = robust_weights(&differences);
         let slope = |p: usize, k: usize| self.irradiance[p][k] / (lit[p] + DARK);
         let rows = Mat::from_fn(pairs.len(), n, |row, k| {
             let [p, q] = pairs[row];
@@ -386,6 +416,61 @@ impl<'a> Shading<'a> {
         nnls::solve(gram.as_ref(), &right, &mut next, &params);
         self.normalised(next)
     }
+}
+
+/// Irradiance of each point by what the surface sends to itself, in units of the points' radiance, looked at in directions all around.
+fn bounced(
+    solver: &Solver<'_>,
+    points: &[Point],
+    (radiance, directions): (&[f64], &[Vec3]),
+) -> Vec<f64> {
+    let placed = points.iter().zip(radiance);
+    let placed = placed.map(|(p, &l)| GeomWithData::new(p.position.to_array(), l));
+    let tree: RTree<GeomWithData<[f32; 3], f64>> = RTree::bulk_load(placed.collect());
+    let share = 4.0 * PI / directions.len() as f64;
+    let at = |point: &Point| {
+        let origin = solver.occluder.offset_origin(point.position, point.normal);
+        let cosines = directions.iter().map(|&d| (d, point.normal.dot(d)));
+        let rays = cosines
+            .filter(|(_, cosine)| *cosine > 0.0)
+            .map(|ray| (ray, ray.0));
+        let mut sum = 0.0;
+        solver
+            .occluder
+            .each_hit(origin, rays, |(direction, cosine), hit| {
+                let place = hit.map(|hit| (origin + hit.distance * direction).to_array());
+                let sender = place.and_then(|place| tree.nearest_neighbor(place));
+                sum += f64::from(cosine) * sender.map_or(0.0, |sender| sender.data);
+            });
+        share * sum
+    };
+    points.par_iter().map(at).collect()
+}
+
+/// The pairs of every second point.
+fn every_second(pairs: &[[usize; 2]], half: usize) -> Vec<[usize; 2]> {
+    let own = pairs.iter().filter(|pair| pair[0] % 2 == half);
+    own.copied().collect()
+}
+
+/// Logarithm of the ratio of each pair's albedos, by the points' radiance and irradiance, both with a mean of 1.
+fn differences(pairs: &[[usize; 2]], radiance: &[f64], lit: &[f64]) -> Vec<f64> {
+    let albedo = |p: usize| ((radiance[p] + DARK) / (lit[p] + DARK)).ln();
+    pairs.iter().map(|&[p, q]| albedo(p) - albedo(q)).collect()
+}
+
+/// Their sizes.
+fn contrasts(pairs: &[[usize; 2]], radiance: &[f64], lit: &[f64]) -> Vec<f64> {
+    let differences = differences(pairs, radiance, lit).into_iter();
+    differences.map(f64::abs).collect()
+}
+
+/// What is usual among differences, and the square root of the weight of each.
+fn robust_weights(differences: &[f64]) -> (f64, Vec<f64>) {
+    let mut sizes: Vec<f32> = differences.iter().map(|d| d.abs() as f32).collect();
+    let usual = f64::from(median(&mut sizes)).max(LEAST_DIFFERENCE);
+    let weight = |d: &f64| (1.0 + (d / usual).powi(2)).sqrt().recip();
+    (usual, differences.iter().map(weight).collect())
 }
 
 /// Diffuse radiance of each point: the median over its views, of which few show a highlight there.
