@@ -51,11 +51,12 @@ impl Agreement {
             grid: &grid,
             points: &observations.points,
         };
+        let (start, regions) = start.in_regions(&on);
         let fitting = Fitting {
             on,
             radiance: &over_mean(&diffuse(&observations, magnitude)).1,
             beside: &beside,
-            regions: &start.regions(&on),
+            regions: &regions,
         };
         let (_, shaded) = fitting.fitted(&start, &pairs, Free::All);
         Some(Self::between(&start, &shaded))

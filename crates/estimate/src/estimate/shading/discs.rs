@@ -31,6 +31,8 @@ const LONGEST: f64 = 0.05;
 const NARROWED: [f32; 2] = [1.0, 0.3];
 /// How far around a disc it is known what of it reaches each point, radians: it moves within.
 const MARGIN: f32 = 0.1;
+/// Nodes of a region at most: each stands for those around it.
+const MOST_NODES: usize = 600;
 /// Receivers that are looked at together.
 const POINTS_AT_ONCE: usize = 256;
 
@@ -66,21 +68,25 @@ pub struct Discs {
 impl Discs {
     /// Those of some lamps.
     pub fn of(lamps: &[Lamp], grid: &HemisphereGrid, nodes: &[[f32; 3]]) -> Self {
-        let disc = |(region, lamp): (usize, &Lamp)| Disc {
+        let disc = |lamp: &Lamp| Disc {
             shape: Ellipse::of(grid, nodes, lamp).with_flux(Vec3::ONE),
             flux: f64::from(lamp.mean_flux()),
-            region,
+            region: 0,
         };
         Self {
-            all: lamps.iter().enumerate().map(disc).collect(),
+            all: lamps.iter().map(disc).collect(),
             beside: Vec::new(),
         }
     }
 
-    /// What each may move in.
-    pub fn regions(&self, on: &Receivers<'_>) -> Vec<Region> {
-        let discs = self.all.iter();
-        discs.map(|disc| Region::new(on, &disc.shape)).collect()
+    /// The same, each in a region of its own that it may move in, and these.
+    pub fn in_regions(mut self, on: &Receivers<'_>) -> (Self, Vec<Region>) {
+        for (region, disc) in self.all.iter_mut().enumerate() {
+            disc.region = region;
+        }
+        let regions = self.all.iter().map(|disc| Region::new(on, &disc.shape));
+        let regions = regions.collect();
+        (self, regions)
     }
 
     /// With radii that are so many times as long.
@@ -92,15 +98,12 @@ impl Discs {
         scaled
     }
 
-    /// Without the weakest of them; `None` where there is only one.
-    fn without_weakest(&self) -> Option<Self> {
-        let weakest = (0..self.all.len()).min_by(|&a, &b| {
-            let flux = |k: usize| self.all[k].flux;
-            flux(a).total_cmp(&flux(b))
-        })?;
+    /// Without so many of the weakest.
+    fn without_weakest(&self, count: usize) -> Self {
         let mut fewer = self.clone();
-        fewer.all.remove(weakest);
-        (!fewer.all.is_empty()).then_some(fewer)
+        fewer.all.sort_by(|a, b| b.flux.total_cmp(&a.flux));
+        fewer.all.truncate(self.all.len() - count);
+        fewer
     }
 
     fn times(mut self, factor: f64) -> Self {
@@ -153,20 +156,55 @@ struct Lit {
 }
 
 impl Fitting<'_> {
-    /// The discs that pairs tell, from some on, if they make those that had no say differ less than `judged`: there are fewer numbers than
-    /// what that is of has. Each of them has to do so beyond chance.
-    pub fn better(&self, start: &Discs, pairs: &[[usize; 2]], judged: &[f64]) -> Option<Discs> {
+    /// Radiance of each node, RGB, by the discs that pairs tell, from some on; `None` where what cells say makes pairs that had no say differ
+    /// less, by as much as `judged`. See [`Fitting::narrowed`], [`Fitting::better`] and [`Fitting::nodes`].
+    pub fn by_discs(
+        &self,
+        start: Discs,
+        (pairs, judged): (&[[usize; 2]], &[f64]),
+        (by_channel, unit): (&[Vec<f64>; 3], f64),
+    ) -> Option<Vec<[f32; 3]>> {
+        if start.all.is_empty() {
+            return None;
+        }
+        let (start, regions) = start.in_regions(&self.on);
+        let about_cells = Fitting {
+            regions: &regions,
+            ..*self
+        };
+        let narrowed = about_cells.narrowed(&start, pairs)?;
+        let (start, regions) = narrowed.in_regions(&self.on);
+        let about_discs = Fitting {
+            regions: &regions,
+            ..*self
+        };
+        let discs = about_discs.better(&start, pairs, judged)?;
+        Some(about_discs.nodes(&discs, by_channel, pairs, unit))
+    }
+
+    /// The discs that pairs tell, from some on that may be too wide.
+    fn narrowed(&self, start: &Discs, pairs: &[[usize; 2]]) -> Option<Discs> {
         let starts = NARROWED.map(|factor| start.scaled(factor, self.on.grid));
         let fitted = starts.map(|start| self.fitted(&start, pairs, Free::All));
-        let (_, mut best) = fitted.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let best = fitted.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
+        best.map(|(_, discs)| discs)
+    }
+
+    /// The discs that pairs tell, from some on, if they make those that had no say differ less than `judged`: there are fewer numbers than
+    /// what that is of has. Those that make no difference beyond chance are left out.
+    fn better(&self, start: &Discs, pairs: &[[usize; 2]], judged: &[f64]) -> Option<Discs> {
+        let (_, mut best) = self.fitted(start, pairs, Free::All);
         let mut left = self.judged(&best, pairs);
-        while let Some(fewer) = best.without_weakest() {
-            let (_, fewer) = self.fitted(&fewer, pairs, Free::All);
+        let mut dropped = best.all.len() / 2;
+        while dropped > 0 {
+            let (_, fewer) = self.fitted(&best.without_weakest(dropped), pairs, Free::All);
             let left_by_fewer = self.judged(&fewer, pairs);
             if signed_ranks(&left_by_fewer, &left) > CHANCE {
-                break;
+                dropped /= 2;
+            } else {
+                (best, left) = (fewer, left_by_fewer);
+                dropped = dropped.min(best.all.len() / 2);
             }
-            (best, left) = (fewer, left_by_fewer);
         }
         (signed_ranks(judged, &left) > 0.0).then_some(best)
     }
@@ -182,7 +220,7 @@ impl Fitting<'_> {
 
     /// Radiance of each node, RGB, of discs that are as bright in each channel as its radiance says, which has a mean of 1; in units of
     /// `unit`.
-    pub fn nodes(
+    fn nodes(
         &self,
         discs: &Discs,
         by_channel: &[Vec<f64>; 3],
@@ -266,21 +304,24 @@ impl Fitting<'_> {
 
     /// Irradiance of each point by a disc of unit flux in a region.
     fn irradiance(&self, region: usize, shape: &Ellipse) -> Vec<f64> {
-        self.regions[region].irradiance(shape, self.on.grid)
+        let region = &self.regions[region];
+        region.irradiance(&region.flux(shape, self.on.grid))
     }
 
     /// Its derivatives by the numbers of its shape.
     fn by_shape(&self, disc: &Disc) -> [Vec<f64>; OF_SHAPE] {
-        let difference = DIFFERENCE * self.on.grid.spacing();
+        let (grid, region) = (self.on.grid, &self.regions[disc.region]);
+        let difference = DIFFERENCE * grid.spacing();
         [0, 1, 2].map(|number| {
             let [more, less] = [difference, -difference].map(|difference| {
                 let mut by = [0.0; OF_SHAPE];
                 by[number] = difference;
-                self.irradiance(disc.region, &self.changed(&disc.shape, by))
+                region.flux(&self.changed(&disc.shape, by), grid)
             });
+            let unit = f64::from(2.0 * difference).recip();
             let between = more.into_iter().zip(less);
-            let slope = between.map(|(more, less)| (more - less) / f64::from(2.0 * difference));
-            slope.collect()
+            let slopes: Vec<f64> = between.map(|(m, l)| unit * (m - l)).collect();
+            region.irradiance(&slopes)
         })
     }
 
@@ -385,12 +426,13 @@ fn slopes(columns: &[Vec<f64>], pairs: &[[usize; 2]], lit: &[f64], weights: &[f6
 
 /// A part of the hemisphere, and what of its light reaches points.
 pub struct Region {
-    /// Place of each node of the grid in it.
+    /// The node of it that stands for each of the grid's.
     places: Vec<Option<u32>>,
     /// Irradiance of each point by a unit flux of each node: blocks of points, in these the nodes one after the other.
     blocks: Vec<Vec<f32>>,
-    /// The number of points.
+    /// The numbers of both.
     points: usize,
+    nodes: usize,
 }
 
 impl Region {
@@ -401,10 +443,22 @@ impl Region {
             grid,
             points,
         } = *on;
-        let nodes: Vec<usize> = shape.reach(grid, MARGIN).collect();
+        let reached: Vec<usize> = shape.reach(grid, MARGIN).collect();
+        let thinned = reached
+            .iter()
+            .step_by(reached.len().div_ceil(MOST_NODES).max(1));
+        let nodes: Vec<usize> = thinned.copied().collect();
+        let place = |&node: &usize| {
+            let apart =
+                |k: usize| grid.directions[node].distance_squared(grid.directions[nodes[k]]);
+            (0..nodes.len()).min_by(|&a, &b| apart(a).total_cmp(&apart(b)))
+        };
         let mut places = vec![None; grid.directions.len()];
-        for (place, &node) in nodes.iter().enumerate() {
-            places[node] = Some(place as u32);
+        for (node, place) in reached
+            .iter()
+            .zip(reached.par_iter().map(place).collect::<Vec<_>>())
+        {
+            places[*node] = place.map(|place| place as u32);
         }
         let block = |points: &[Point]| {
             let mut lit = vec![0.0; nodes.len() * points.len()];
@@ -432,21 +486,29 @@ impl Region {
             places,
             blocks: points.par_chunks(POINTS_AT_ONCE).map(block).collect(),
             points: points.len(),
+            nodes: nodes.len(),
         }
     }
 
-    /// Irradiance of each point by a disc of unit flux; what of it lies outside is dark.
-    fn irradiance(&self, shape: &Ellipse, grid: &HemisphereGrid) -> Vec<f64> {
-        let nodes = shape.nodes(grid).into_iter();
-        let inside = nodes.filter_map(|(node, radiance)| {
-            let place = self.places[node]? as usize;
-            Some((place, f64::from(radiance[0] * grid.solid_angle)))
-        });
-        let inside: Vec<(usize, f64)> = inside.collect();
+    /// Flux of each of its nodes by a disc; what of that lies outside is dark.
+    fn flux(&self, shape: &Ellipse, grid: &HemisphereGrid) -> Vec<f64> {
+        let mut flux = vec![0.0; self.nodes];
+        for (node, radiance) in shape.nodes(grid) {
+            if let Some(place) = self.places[node] {
+                flux[place as usize] += f64::from(radiance[0] * grid.solid_angle);
+            }
+        }
+        flux
+    }
+
+    /// Irradiance of each point by so much flux of each node, or less than none.
+    fn irradiance(&self, flux: &[f64]) -> Vec<f64> {
+        let changed = flux.iter().enumerate().filter(|(_, flux)| **flux != 0.0);
+        let changed: Vec<(usize, f64)> = changed.map(|(place, &flux)| (place, flux)).collect();
         let mut irradiance = vec![0.0; self.points];
         let blocks = irradiance.par_chunks_mut(POINTS_AT_ONCE);
         blocks.zip(&self.blocks).for_each(|(sums, block)| {
-            for &(place, flux) in &inside {
+            for &(place, flux) in &changed {
                 let by_node = &block[place * sums.len()..][..sums.len()];
                 for (sum, &by) in sums.iter_mut().zip(by_node) {
                     *sum += flux * f64::from(by);

@@ -133,23 +133,19 @@ impl LightByShading {
         };
         let radiance: Vec<[f32; 3]> = (0..cells.len()).map(of_cell).collect();
         let by_cells = pyramid.to_nodes(&cells, &radiance);
-        let start = Discs::of(&find_lamps(&grid, &by_cells), &grid, &by_cells);
-        let on = Receivers {
-            solver,
-            grid: &grid,
-            points: &observations.points,
-        };
         let fitting = Fitting {
-            on,
+            on: Receivers {
+                solver,
+                grid: &grid,
+                points: &observations.points,
+            },
             radiance: &gray,
             beside: &beside,
-            regions: &start.regions(&on),
+            regions: &[],
         };
-        let nodes = fitting
-            .better(&start, &pairs, &judged)
-            .map_or(by_cells, |discs| {
-                fitting.nodes(&discs, &by_channel, &pairs, unit)
-            });
+        let start = Discs::of(&find_lamps(&grid, &by_cells), &grid, &by_cells);
+        let by_discs = fitting.by_discs(start, (&pairs, &judged), (&by_channel, unit));
+        let nodes = by_discs.unwrap_or(by_cells);
         Some(Self {
             grid,
             pyramid,
