@@ -15,7 +15,6 @@ use rayon::prelude::*;
 use super::{DARK, contrasts, differences, every_second, mean, robust_weights};
 use crate::estimate::ellipse::Ellipse;
 use crate::estimate::fast::Solver;
-use crate::estimate::held_out::CHANCE;
 use crate::estimate::lobes::light_from;
 use crate::estimate::observations::Point;
 use rekindle_base::math::ranks::signed_ranks;
@@ -191,22 +190,25 @@ impl Fitting<'_> {
     }
 
     /// The discs that pairs tell, from some on, if they make those that had no say differ less than `judged`: there are fewer numbers than
-    /// what that is of has. Those that make no difference beyond chance are left out.
+    /// what that is of has. Those without which these differ no more
+    /// are left out.
     fn better(&self, start: &Discs, pairs: &[[usize; 2]], judged: &[f64]) -> Option<Discs> {
         let (_, mut best) = self.fitted(start, pairs, Free::All);
-        let mut left = self.judged(&best, pairs);
+        let by_all = self.judged(&best, pairs);
+        if signed_ranks(judged, &by_all) <= 0.0 {
+            return None;
+        }
         let mut dropped = best.all.len() / 2;
         while dropped > 0 {
             let (_, fewer) = self.fitted(&best.without_weakest(dropped), pairs, Free::All);
-            let left_by_fewer = self.judged(&fewer, pairs);
-            if signed_ranks(&left_by_fewer, &left) > CHANCE {
+            if signed_ranks(&self.judged(&fewer, pairs), &by_all) > 0.0 {
                 dropped /= 2;
             } else {
-                (best, left) = (fewer, left_by_fewer);
+                best = fewer;
                 dropped = dropped.min(best.all.len() / 2);
             }
         }
-        (signed_ranks(judged, &left) > 0.0).then_some(best)
+        Some(best)
     }
 
     /// How far the albedos of pairs differ under what the others make of some discs.
