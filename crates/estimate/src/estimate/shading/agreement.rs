@@ -3,7 +3,8 @@
 //! Highlights and shading are two witnesses: a fit of the specular part eliminates the diffuse colours, and what makes these even has no
 //! say in it. So lights are fitted to the shading alone, from what highlights say on. Those that were there hardly change.
 
-use super::discs::{Discs, Fitting, Free, Receivers};
+use super::discs::{Discs, Fitting, Free};
+use super::region::Receivers;
 use super::{FREQUENCY, POINTS, Shading, diffuse, over_mean, pairs};
 use crate::estimate::cells::Pyramid;
 use crate::estimate::fast::Solver;

@@ -10,13 +10,10 @@ use std::sync::atomic::Ordering;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use glam::Vec3;
-use rayon::prelude::*;
 
+use super::region::{Receivers, Region};
 use super::{DARK, contrasts, differences, every_second, mean, robust_weights};
 use crate::estimate::ellipse::Ellipse;
-use crate::estimate::fast::Solver;
-use crate::estimate::lobes::light_from;
-use crate::estimate::observations::Point;
 use rekindle_base::math::ranks::signed_ranks;
 use rekindle_scene::hemisphere::{HemisphereGrid, Lamp};
 
@@ -28,12 +25,6 @@ const DIFFERENCE: f32 = 0.25;
 const LONGEST: f64 = 0.05;
 /// Cells are as wide as the light that they show, or wider: discs may have such parts of their radius.
 const NARROWED: [f32; 2] = [1.0, 0.3];
-/// How far around a disc it is known what of it reaches each point, radians: it moves within.
-const MARGIN: f32 = 0.1;
-/// Nodes of a region at most: each stands for those around it.
-const MOST_NODES: usize = 600;
-/// Receivers that are looked at together.
-const POINTS_AT_ONCE: usize = 256;
 
 /// Rounds, how often a step is tried shorter, and the change of what is left, over the pairs' number, that ends them.
 const ROUNDS: usize = 30;
@@ -125,15 +116,6 @@ pub enum Free {
     Flux,
 }
 
-/// Where irradiance is looked at.
-#[derive(Clone, Copy)]
-pub struct Receivers<'a> {
-    pub solver: &'a Solver<'a>,
-    /// Nodes all around.
-    pub grid: &'a HemisphereGrid,
-    pub points: &'a [Point],
-}
-
 /// What discs are fitted to.
 #[derive(Clone, Copy)]
 pub struct Fitting<'a> {
@@ -190,8 +172,7 @@ impl Fitting<'_> {
     }
 
     /// The discs that pairs tell, from some on, if they make those that had no say differ less than `judged`: there are fewer numbers than
-    /// what that is of has. Those without which these differ no more
-    /// are left out.
+    /// what that is of has. Those without which these differ no more are left out.
     fn better(&self, start: &Discs, pairs: &[[usize; 2]], judged: &[f64]) -> Option<Discs> {
         let (_, mut best) = self.fitted(start, pairs, Free::All);
         let by_all = self.judged(&best, pairs);
@@ -424,99 +405,4 @@ fn slopes(columns: &[Vec<f64>], pairs: &[[usize; 2]], lit: &[f64], weights: &[f6
         let [p, q] = pairs[row];
         weights[row] * (slope(p) - slope(q))
     })
-}
-
-/// A part of the hemisphere, and what of its light reaches points.
-pub struct Region {
-    /// The node of it that stands for each of the grid's.
-    places: Vec<Option<u32>>,
-    /// Irradiance of each point by a unit flux of each node: blocks of points, in these the nodes one after the other.
-    blocks: Vec<Vec<f32>>,
-    /// The numbers of both.
-    points: usize,
-    nodes: usize,
-}
-
-impl Region {
-    /// About a disc.
-    fn new(on: &Receivers<'_>, shape: &Ellipse) -> Self {
-        let Receivers {
-            solver,
-            grid,
-            points,
-        } = *on;
-        let reached: Vec<usize> = shape.reach(grid, MARGIN).collect();
-        let thinned = reached
-            .iter()
-            .step_by(reached.len().div_ceil(MOST_NODES).max(1));
-        let nodes: Vec<usize> = thinned.copied().collect();
-        let place = |&node: &usize| {
-            let apart =
-                |k: usize| grid.directions[node].distance_squared(grid.directions[nodes[k]]);
-            (0..nodes.len()).min_by(|&a, &b| apart(a).total_cmp(&apart(b)))
-        };
-        let mut places = vec![None; grid.directions.len()];
-        for (node, place) in reached
-            .iter()
-            .zip(reached.par_iter().map(place).collect::<Vec<_>>())
-        {
-            places[*node] = place.map(|place| place as u32);
-        }
-        let block = |points: &[Point]| {
-            let mut lit = vec![0.0; nodes.len() * points.len()];
-            for (p, point) in points.iter().enumerate() {
-                if solver.stop.load(Ordering::Relaxed) {
-                    break;
-                }
-                let origin = solver.occluder.offset_origin(point.position, point.normal);
-                let rays = nodes.iter().enumerate().filter_map(|(place, &node)| {
-                    let direction = grid.directions[node];
-                    let (to, falloff) = light_from(solver.near, direction, point.position);
-                    let cosine = point.normal.dot(to);
-                    (cosine > 0.0).then_some(((place, falloff * cosine), to, f32::INFINITY))
-                });
-                let occluder = solver.occluder;
-                occluder.each_occluded(origin, rays, |(place, value), is_hidden| {
-                    if !is_hidden {
-                        lit[place * points.len() + p] = value;
-                    }
-                });
-            }
-            lit
-        };
-        Self {
-            places,
-            blocks: points.par_chunks(POINTS_AT_ONCE).map(block).collect(),
-            points: points.len(),
-            nodes: nodes.len(),
-        }
-    }
-
-    /// Flux of each of its nodes by a disc; what of that lies outside is dark.
-    fn flux(&self, shape: &Ellipse, grid: &HemisphereGrid) -> Vec<f64> {
-        let mut flux = vec![0.0; self.nodes];
-        for (node, radiance) in shape.nodes(grid) {
-            if let Some(place) = self.places[node] {
-                flux[place as usize] += f64::from(radiance[0] * grid.solid_angle);
-            }
-        }
-        flux
-    }
-
-    /// Irradiance of each point by so much flux of each node, or less than none.
-    fn irradiance(&self, flux: &[f64]) -> Vec<f64> {
-        let changed = flux.iter().enumerate().filter(|(_, flux)| **flux != 0.0);
-        let changed: Vec<(usize, f64)> = changed.map(|(place, &flux)| (place, flux)).collect();
-        let mut irradiance = vec![0.0; self.points];
-        let blocks = irradiance.par_chunks_mut(POINTS_AT_ONCE);
-        blocks.zip(&self.blocks).for_each(|(sums, block)| {
-            for &(place, flux) in &changed {
-                let by_node = &block[place * sums.len()..][..sums.len()];
-                for (sum, &by) in sums.iter_mut().zip(by_node) {
-                    *sum += flux * f64::from(by);
-                }
-            }
-        });
-        irradiance
-    }
 }

@@ -23,6 +23,7 @@ use rstar::primitives::GeomWithData;
 
 mod agreement;
 mod discs;
+mod region;
 
 use super::cells::{Cell, CellGeometry, Pyramid};
 use super::fast::Solver;
@@ -31,7 +32,8 @@ use super::neighbours::Neighbours;
 use super::observations::{Observations, Point};
 use super::weights::{magnitude, median};
 pub use agreement::Agreement;
-use discs::{Discs, Fitting, Receivers};
+use discs::{Discs, Fitting};
+use region::Receivers;
 use rekindle_base::math::nnls::{self, NnlsParams};
 use rekindle_base::math::ranks::{SURE, placed_signed_ranks, signed_ranks};
 use rekindle_scene::hemisphere::{HemisphereGrid, find_lamps};
