@@ -18,7 +18,7 @@ use glam::{Mat2, Vec2, Vec3};
 use smallvec::SmallVec;
 
 use super::lighting::{LampNodes, LightNode, Lighting};
-use super::patches::{self, patches};
+use super::patches::{self, merged, patches};
 use super::sky::{DrawnLobe, Sky};
 use rekindle_capture::Mesh;
 use rekindle_scene::reflectance::{Brdf, Gloss, MIN_COS_VIEW};
@@ -39,6 +39,9 @@ const SCOUTS: usize = 12;
 /// Rays per patch of an environment, and of a wide lamp where it has a larger angular radius (radians) than this.
 const SOFT_RAYS: usize = 4;
 const ONE_RAY: f32 = 0.12;
+/// Reach of the parts of light from all around that stand for their nodes, in σ: they are not further apart than the lobe's standard
+/// deviation, which is 2σ, and add at most 6 % to its square.
+const MERGED: f32 = 1.0;
 /// A lobe of roughness σ does not resolve a lamp of an angular radius below this part of σ |l + v|: the half vector turns
 /// by the radius over |l + v|.
 const UNRESOLVED: f32 = 0.6;
@@ -418,6 +421,10 @@ impl<'a> Shader<'a> {
         let mut groups = Vec::new();
         let unresolved = patch_reach(brdf);
         for lamp in &lighting.lamps {
+            let is_all_around = !lamp.muted && patches::reach(lamp) > patches::ALL_AROUND;
+            let few = brdf.filter(|_| is_all_around);
+            let few = few.and_then(|brdf| merged(lamp, MERGED * brdf.sigma));
+            let lamp = few.as_ref().unwrap_or(lamp);
             let patches = patches(lamp, unresolved.max(ONE_RAY));
             let (parts, role) = if patches.is_empty() {
                 (std::slice::from_ref(lamp), Role::Lamp)

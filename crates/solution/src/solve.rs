@@ -29,8 +29,8 @@ use rekindle_relight::{
     Shader, Surroundings, ViewFit, ViewLight, filled_albedo, light_texture, reconstruct, separate,
 };
 use rekindle_scene::hemisphere::{
-    FromAbove, HemisphereGrid, InitialHemisphere, PartialHemisphere, SpecularImage, find_lamps,
-    rest,
+    FromAbove, HemisphereGrid, InitialHemisphere, Lamp, PartialHemisphere, SpecularImage,
+    find_lamps, rest,
 };
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::{LeftOut, Shortcuts};
@@ -772,22 +772,29 @@ fn hemispheres(
 
 /// The lamps with their names. Of a known light nothing is noise: what belongs to no lamp is one of its own.
 pub fn name_lamps(found: &Estimate, is_known: bool) -> Vec<SolutionLamp> {
-    let mut lamps = find_lamps(&found.grid, &found.radiance);
+    let named = |name: String, lamp: Lamp| SolutionLamp {
+        name,
+        direction: lamp.direction,
+        flux: lamp.flux.into(),
+        angular_radius: lamp.angular_radius,
+        nodes: lamp.nodes,
+    };
+    let mut others = found.radiance.clone();
+    for &node in &found.broad_light {
+        others[node as usize] = [0.0; 3];
+    }
+    let mut lamps = find_lamps(&found.grid, &others);
     if is_known {
         lamps.extend(rest(&found.grid, &found.radiance, &lamps));
         lamps.sort_by(|a, b| b.mean_flux().total_cmp(&a.mean_flux()));
     }
-    lamps
-        .into_iter()
-        .enumerate()
-        .map(|(i, lamp)| SolutionLamp {
-            name: format!("Light {}", i + 1),
-            direction: lamp.direction,
-            flux: lamp.flux.into(),
-            angular_radius: lamp.angular_radius,
-            nodes: lamp.nodes,
-        })
-        .collect()
+    let broad = Lamp::new(&found.grid, &found.radiance, found.broad_light.clone());
+    let lamps = lamps.into_iter().enumerate();
+    let mut all: Vec<SolutionLamp> = lamps
+        .map(|(i, lamp)| named(format!("Light {}", i + 1), lamp))
+        .collect();
+    all.extend(broad.map(|broad| named("Broad light".to_owned(), broad)));
+    all
 }
 
 /// What was not done, stages with the reason.

@@ -397,7 +397,10 @@ fn on_refined(
         if named.is_some_and(|named| named.leaves <= worth) {
             return Ok(None);
         }
-        if outdone_by_parts((on_mesh, coarse), &after, choice, watch)? {
+        // Where little is left there is little that parts could leave less of.
+        if leaves_much(solver, &start.coarse.state)?
+            && outdone_by_parts((on_mesh, coarse), &after, choice, watch)?
+        {
             return Ok(None);
         }
         on_glossy(solver, start, (&mut relief, &on_mesh.seen), choice, watch)

@@ -6,6 +6,7 @@
 
 mod alternating;
 mod below;
+mod broad_light;
 pub mod cells;
 mod course;
 pub mod design;
@@ -182,6 +183,8 @@ pub struct Estimate {
     /// Radiance per node of the grid, RGB, in the capture's units; without a specular part what the
     /// shading says, or all zero.
     pub radiance: Vec<[f32; 3]>,
+    /// The nodes that belong to the broad light that a metal mirrors beside its lights, ascending; none of any other surface.
+    pub broad_light: Vec<u32>,
     /// What it is worth.
     pub diagnostics: Diagnostics,
     /// Every iteration.
@@ -213,6 +216,7 @@ impl Estimate {
             sigma_interval95: None,
             grid: grid.clone(),
             radiance: vec![[0.0; 3]; grid.directions.len()],
+            broad_light: Vec::new(),
             diagnostics: Diagnostics::default(),
             convergence: Vec::new(),
             parts: None,
@@ -580,9 +584,18 @@ fn run(
         }
         Outcome::Found(ending) => {
             let ended = watch.observer.enough();
+            let brdf = ending.fit.brdf;
             accept(&mut result, &solver, *ending);
             if let Some(first) = input.first {
                 (result.chosen_because).clone_from(&first.estimate.chosen_because);
+                if brdf.model == SpecularModel::Metal && turning.is_none() && !ended {
+                    go_on(observer.progress("looking for broad light", 0.95))?;
+                    if let Some(found) = broad_light::beside(&solver, brdf, &result.radiance)? {
+                        result.grid = found.grid;
+                        result.radiance = found.nodes;
+                        result.broad_light = found.own;
+                    }
+                }
             }
             if ended {
                 let warnings = &mut result.diagnostics.warnings;

@@ -1056,3 +1056,60 @@ fn noise_is_not_taken_for_lamps() {
         assert_eq!(lamps.len(), 2, "{lamps:?}");
     }
 }
+
+/// A solver's cells all around, as [`broad_light`] has them.
+fn with_cells_around<R>(then: impl FnOnce(&Solver<'_>, &[Cell]) -> R) -> R {
+    with_solver(&load(), |solver| {
+        let grid = solver.grid.to_whole();
+        let pyramid = Pyramid::new(&grid, 7);
+        let whole = Solver {
+            grid: &grid,
+            pyramid: &pyramid,
+            coarse: solver.coarse.clone(),
+            coarse_sees: std::sync::OnceLock::new(),
+            ..*solver
+        };
+        then(&whole, &pyramid.roots())
+    })
+}
+
+#[test]
+fn what_a_metal_mirrors_beside_its_lights_is_light_and_what_paint_shows_is_not() {
+    with_cells_around(|solver, cells| {
+        let brdf = Brdf::new(SpecularModel::Metal, 0.08);
+        let mut observations = solver.colours(1500);
+        let dark = vec![[0.0; 3]; solver.grid.directions.len()];
+        let find = |observations: &Observations| {
+            broad_light::mirrored_in(solver, observations, cells, (brdf, &dark))
+        };
+        // A room: brighter and bluer towards +X, warm below.
+        let directions = solver.pyramid.geometry(cells).directions;
+        let of_room = |d: &Vec3| [0.5 - 0.3 * d.y, 0.5 + 0.2 * d.x, 0.5 + 0.4 * d.x];
+        let room: Vec<[f32; 3]> = directions.iter().map(of_room).collect();
+        let shown =
+            (solver.shadowed_design(&observations, cells, &brdf)).predict_values(&brdf, &room);
+        for (row, shown) in observations.rows.iter_mut().zip(shown) {
+            row.radiance = shown;
+        }
+        let found = find(&observations).expect("it mirrors the room");
+        let mut errors: Vec<f32> = (found.iter().zip(&room))
+            .map(|(f, r)| Vec3::from(*f).distance(Vec3::from(*r)) / Vec3::from(*r).length())
+            .collect();
+        errors.sort_by(f32::total_cmp);
+        let median = errors[errors.len() / 2];
+        assert!(median < 0.1, "off by {median}");
+        // The same object painted, under light from above.
+        for point in &observations.points {
+            let lit = 0.2 + point.normal.y.max(0.0);
+            let colour = [
+                0.3,
+                0.2,
+                0.5 + 0.4 * (9.0 * point.position.x).sin().signum(),
+            ];
+            for row in &mut observations.rows[point.rows.clone()] {
+                row.radiance = colour.map(|c| c * lit);
+            }
+        }
+        assert!(find(&observations).is_none(), "paint is no light");
+    });
+}

@@ -1,0 +1,300 @@
+//! What a metal mirrors beside its lights.
+//!
+//! Lights are told by what differs between views, each point's diffuse colour eliminated. Walls, floor and sky are broad and dim: in a metal
+//! they hardly differ from view to view, go into the diffuse colours, and are then lit by any other light as if the metal were painted. But a
+//! metal has no diffuse part: all that it shows beside its lights comes from somewhere. So light x ≥ 0 on broad cells all around is sought that
+//! explains this with no diffuse colour, as the minimum of
+//!
+//! `Σ w (z − A x)² + λ Σ (xᵢ − xⱼ)²`
+//!
+//! with z what the lights leave and λ what explains views best that had no say. There is such broad light if it explains those views better
+//! than diffuse colours do, beyond chance; else it is paint.
+
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use faer::Mat;
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::cells::{Cell, Pyramid};
+use super::fast::Solver;
+use super::held_lights::HeldLights;
+use super::observations::Observations;
+use super::observer::Stopped;
+use super::shading::hold_together;
+use super::weights::{magnitude, median};
+use rekindle_base::math::nnls::{self, NnlsParams};
+use rekindle_base::math::ranks::{SURE, placed_signed_ranks};
+use rekindle_scene::hemisphere::HemisphereGrid;
+use rekindle_scene::reflectance::Brdf;
+
+/// Points that are looked at, and frequency of the grid of the cells: 492 of them, 9° apart.
+const POINTS: usize = 3000;
+const FREQUENCY: u32 = 7;
+/// How much cells are held to their neighbours, as parts of the mean diagonal of the equations.
+const SMOOTHNESS: [f64; 4] = [1e-3, 1e-2, 0.1, 1.0];
+/// Views are left out in so many turns.
+const TURNS: usize = 3;
+/// Squared standard deviations beyond which a cell says nothing of a node.
+const FARTHEST: f32 = 16.0;
+/// Part of all radiance below which what broad light shows is what else is left: of gold in the dark, exact and as a scan, it was 0.002, in
+/// a room 0.29.
+const NEGLIGIBLE: f64 = 0.01;
+/// Rounds in which weights and light take turns.
+const ROUNDS: usize = 3;
+
+/// Light from all around beside lights.
+pub struct BroadLight {
+    /// Nodes all around, those above the horizon first.
+    pub grid: HemisphereGrid,
+    /// Radiance per node, RGB, in the capture's units, of lights and broad light together.
+    pub nodes: Vec<[f32; 3]>,
+    /// The nodes of the broad light, which no other light has.
+    pub own: Vec<u32>,
+}
+
+/// What a metal of this lobe mirrors beside lights, radiance per node of the first of all nodes around; `None` where diffuse colours explain it
+/// as well.
+pub fn beside(
+    solver: &Solver<'_>,
+    brdf: Brdf,
+    lights: &[[f32; 3]],
+) -> Result<Option<BroadLight>, Stopped> {
+    let grid = solver.grid.to_whole();
+    let pyramid = Pyramid::new(&grid, FREQUENCY);
+    let whole = Solver {
+        grid: &grid,
+        pyramid: &pyramid,
+        coarse: solver.coarse.clone(),
+        coarse_sees: OnceLock::new(),
+        ..*solver
+    };
+    let mut nodes = lights.to_vec();
+    nodes.resize(grid.directions.len(), [0.0; 3]);
+    let observations = whole.colours(POINTS).measured();
+    let cells = pyramid.roots();
+    let found = mirrored_in(&whole, &observations, &cells, (brdf, &nodes));
+    if solver.stop.load(Ordering::Relaxed) {
+        return Err(Stopped);
+    }
+    Ok(found.map(|radiance| {
+        let own = add(
+            &pyramid,
+            (&grid, &mut nodes),
+            (&cells, &radiance),
+            whole.coarse.scale,
+        );
+        BroadLight { grid, nodes, own }
+    }))
+}
+
+/// Radiance of each of some cells, RGB, in units of the observations' scale, that a metal mirrors beside lights of a radiance per node; `None`
+/// where diffuse colours explain views left out as well.
+pub(super) fn mirrored_in(
+    solver: &Solver<'_>,
+    observations: &Observations,
+    cells: &[Cell],
+    (brdf, lights): (Brdf, &[[f32; 3]]),
+) -> Option<Vec<[f32; 3]>> {
+    let design = solver.shadowed_design(observations, cells, &brdf);
+    let held = HeldLights::of(solver, brdf, lights);
+    let lit = solver.shadowed_design(observations, &held.cells, &brdf);
+    let by_lights = lit.predict_values(&brdf, &held.radiance);
+    let rows = observations.rows.iter().zip(by_lights);
+    let left = rows.map(|(row, light)| (Vec3::from(row.radiance) - Vec3::from(light)).into());
+    let mirror = Mirror {
+        observations,
+        left: left.collect(),
+        shown: design.matrix(&brdf),
+        cells: cells.len(),
+        joined: solver.pyramid.joined(cells),
+        stop: solver.stop,
+    };
+    mirror.light_around()
+}
+
+/// Adds light of cells, smoothly, to nodes that are dark; which they are.
+fn add(
+    pyramid: &Pyramid,
+    (grid, nodes): (&HemisphereGrid, &mut [[f32; 3]]),
+    (cells, radiance): (&[Cell], &[[f32; 3]]),
+    scale: f32,
+) -> Vec<u32> {
+    let directions = pyramid.geometry(cells).directions;
+    let width = 0.5 * pyramid.spacing(0);
+    let at = |direction: Vec3| {
+        let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+        for (middle, light) in directions.iter().zip(radiance) {
+            // Twice 1 − cos of an angle is the square of its chord.
+            let chords = middle.distance_squared(direction) / (width * width);
+            if chords < FARTHEST {
+                let weight = (-0.5 * chords).exp();
+                sum += weight * Vec3::from(*light);
+                total += weight;
+            }
+        }
+        scale * sum / total.max(f32::MIN_POSITIVE)
+    };
+    let around = nodes.par_iter_mut().zip(&grid.directions).enumerate();
+    around
+        .filter_map(|(node, (radiance, &direction))| {
+            let light = at(direction);
+            let is_added = *radiance == [0.0; 3] && light != Vec3::ZERO;
+            is_added.then(|| {
+                *radiance = light.to_array();
+                node as u32
+            })
+        })
+        .collect()
+}
+
+/// Rows of points without what lights show in them.
+struct Mirror<'s> {
+    observations: &'s Observations,
+    /// What is left of each row.
+    left: Vec<[f32; 3]>,
+    /// What unit radiance of each cell shows in each row, row by row.
+    shown: Vec<f32>,
+    cells: usize,
+    joined: Vec<[usize; 2]>,
+    stop: &'s AtomicBool,
+}
+
+impl Mirror<'_> {
+    /// Radiance of each cell, RGB, in units of the observations' scale; `None` where diffuse colours explain views left out as well.
+    fn light_around(&self) -> Option<Vec<[f32; 3]>> {
+        let gray: Vec<f32> = self.left.iter().map(|&z| mean(z)).collect();
+        let judged = |&smoothness: &f64| {
+            let left = self.left_out(&gray, smoothness);
+            (
+                left.iter().map(|(_, _, own)| own).sum::<f64>(),
+                smoothness,
+                left,
+            )
+        };
+        let tried = SMOOTHNESS.par_iter().map(judged);
+        let (_, smoothness, left) = tried.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        if placed_signed_ranks(&left) <= SURE {
+            return None;
+        }
+        let channels = [0, 1, 2].map(|c| {
+            let left: Vec<f32> = self.left.iter().map(|z| z[c]).collect();
+            self.light(&left, smoothness, |_| true)
+        });
+        let of_cell = |k: usize| channels.each_ref().map(|x| x[k] as f32);
+        let shown = |k: usize| channels.iter().map(|x| self.predicted(k, x)).sum::<f64>();
+        let rows = self.observations.rows.iter();
+        let all: f64 = rows
+            .map(|row| f64::from(row.radiance.iter().sum::<f32>()))
+            .sum();
+        let of_all = (0..self.left.len()).map(shown).sum::<f64>();
+        (of_all > NEGLIGIBLE * all).then(|| (0..self.cells).map(of_cell).collect())
+    }
+
+    /// What diffuse colours and broad light leave of each point in views that had no say, with its place.
+    fn left_out(&self, left: &[f32], smoothness: f64) -> Vec<(Vec3, f64, f64)> {
+        let Observations { points, rows, .. } = self.observations;
+        let mut sums: Vec<(Vec3, f64, f64)> =
+            points.iter().map(|p| (p.position, 0.0, 0.0)).collect();
+        for turn in 0..TURNS {
+            let is_out = |k: usize| rows[k].view % TURNS == turn;
+            let x = self.light(left, smoothness, |k| !is_out(k));
+            for (point, (_, by_colour, by_light)) in points.iter().zip(&mut sums) {
+                let mut kept: Vec<f32> = point
+                    .rows
+                    .clone()
+                    .filter(|&k| !is_out(k))
+                    .map(|k| left[k])
+                    .collect();
+                if kept.is_empty() {
+                    continue;
+                }
+                let colour = median(&mut kept);
+                for k in point.rows.clone().filter(|&k| is_out(k)) {
+                    *by_colour += f64::from((left[k] - colour).abs());
+                    *by_light += (f64::from(left[k]) - self.predicted(k, &x)).abs();
+                }
+            }
+        }
+        sums
+    }
+
+    fn row(&self, k: usize) -> &[f32] {
+        &self.shown[k * self.cells..(k + 1) * self.cells]
+    }
+
+    fn predicted(&self, k: usize, x: &[f64]) -> f64 {
+        let products = self.row(k).iter().zip(x).map(|(&a, x)| f64::from(a) * x);
+        products.sum()
+    }
+
+    /// The light that rows say which have a say, one channel of which is `left`.
+    fn light(
+        &self,
+        left: &[f32],
+        smoothness: f64,
+        has_say: impl Fn(usize) -> bool + Sync,
+    ) -> Vec<f64> {
+        let heard: Vec<usize> = (0..left.len()).filter(|&k| has_say(k)).collect();
+        let mut x = vec![0.0; self.cells];
+        let mut residuals: Vec<f32> = Vec::new();
+        for round in 0..ROUNDS {
+            if self.stop.load(Ordering::Relaxed) {
+                break;
+            }
+            let weights = self.weights(&heard, &residuals);
+            self.improve(&heard, (left, &weights), smoothness, &mut x);
+            if round + 1 < ROUNDS {
+                let residual = |&k: &usize| left[k] - self.predicted(k, &x) as f32;
+                residuals = heard.par_iter().map(residual).collect();
+            }
+        }
+        x
+    }
+
+    /// Square roots of the weights of rows, by their image detail and what was left of them: as under Cauchy's distribution.
+    fn weights(&self, heard: &[usize], residuals: &[f32]) -> Vec<f32> {
+        let size = |k: usize| magnitude(self.left[k]);
+        let mut sizes: Vec<f32> = if residuals.is_empty() {
+            heard.iter().map(|&k| size(k)).collect()
+        } else {
+            residuals.iter().map(|r| r.abs()).collect()
+        };
+        let usual = median(&mut sizes).max(f32::MIN_POSITIVE);
+        let of = |(i, &k): (usize, &usize)| {
+            let residual = residuals.get(i).copied().unwrap_or(0.0);
+            let detail = self.observations.rows[k].detail;
+            (1.0 + (residual / usual).powi(2) + (detail / usual).powi(2))
+                .sqrt()
+                .recip()
+        };
+        heard.iter().enumerate().map(of).collect()
+    }
+
+    fn improve(
+        &self,
+        heard: &[usize],
+        (left, weights): (&[f32], &[f32]),
+        smoothness: f64,
+        x: &mut [f64],
+    ) {
+        let n = self.cells;
+        let rows = Mat::from_fn(heard.len(), n, |i, c| weights[i] * self.row(heard[i])[c]);
+        let said = Mat::from_fn(heard.len(), 1, |i, _| weights[i] * left[heard[i]]);
+        let (gram, right) = (rows.transpose() * &rows, rows.transpose() * &said);
+        let mut gram = Mat::from_fn(n, n, |i, j| f64::from(gram[(i, j)]));
+        let right: Vec<f64> = (0..n).map(|i| f64::from(right[(i, 0)])).collect();
+        let diagonal = (0..n).map(|i| gram[(i, i)]).sum::<f64>() / n as f64;
+        hold_together(&mut gram, &self.joined, smoothness * diagonal);
+        let params = NnlsParams {
+            stop: Some(self.stop),
+            ..NnlsParams::default()
+        };
+        nnls::solve(gram.as_ref(), &right, x, &params);
+    }
+}
+
+fn mean(z: [f32; 3]) -> f32 {
+    z.iter().sum::<f32>() / 3.0
+}
