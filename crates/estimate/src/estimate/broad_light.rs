@@ -165,6 +165,14 @@ impl Mirror<'_> {
     /// Radiance of each cell, RGB, in units of the observations' scale; `None` where diffuse colours explain views left out as well.
     fn light_around(&self) -> Option<Vec<[f32; 3]>> {
         let gray: Vec<f32> = self.left.iter().map(|&z| mean(z)).collect();
+        // In the dark there is nothing to be told.
+        let all = self.light(&gray, SMOOTHNESS[0], |_| true);
+        let shown: f64 = (0..gray.len()).map(|k| self.predicted(k, &all)).sum();
+        let rows = self.observations.rows.iter();
+        let seen: f64 = rows.map(|row| f64::from(mean(row.radiance))).sum();
+        if shown <= NEGLIGIBLE * seen {
+            return None;
+        }
         let judged = |&smoothness: &f64| {
             let left = self.left_out(&gray, smoothness);
             (
@@ -183,13 +191,7 @@ impl Mirror<'_> {
             self.light(&left, smoothness, |_| true)
         });
         let of_cell = |k: usize| channels.each_ref().map(|x| x[k] as f32);
-        let shown = |k: usize| channels.iter().map(|x| self.predicted(k, x)).sum::<f64>();
-        let rows = self.observations.rows.iter();
-        let all: f64 = rows
-            .map(|row| f64::from(row.radiance.iter().sum::<f32>()))
-            .sum();
-        let of_all = (0..self.left.len()).map(shown).sum::<f64>();
-        (of_all > NEGLIGIBLE * all).then(|| (0..self.cells).map(of_cell).collect())
+        Some((0..self.cells).map(of_cell).collect())
     }
 
     /// What diffuse colours and broad light leave of each point in views that had no say, with its place.
