@@ -22,9 +22,14 @@ pub struct AllAround {
 impl AllAround {
     /// The nodes of a solver with those below the horizon.
     pub fn of(solver: &Solver<'_>) -> Self {
+        Self::on_cells_of(solver, COARSEST)
+    }
+
+    /// The same, where the grid of the coarsest cells has that frequency.
+    pub fn on_cells_of(solver: &Solver<'_>, frequency: u32) -> Self {
         let grid = solver.grid.to_whole();
         Self {
-            pyramid: Pyramid::new(&grid, COARSEST),
+            pyramid: Pyramid::new(&grid, frequency),
             grid,
         }
     }

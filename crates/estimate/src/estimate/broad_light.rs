@@ -10,14 +10,14 @@
 //! with z what the lights leave and λ what explains views best that had no say. There is such broad light if it explains those views better
 //! than diffuse colours do, beyond chance; else it is paint.
 
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use faer::Mat;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::cells::{Cell, Pyramid};
+use super::below::AllAround;
+use super::cells::Cell;
 use super::fast::Solver;
 use super::held_lights::HeldLights;
 use super::observations::Observations;
@@ -31,7 +31,7 @@ use rekindle_scene::reflectance::Brdf;
 
 /// Points that are looked at, and frequency of the grid of the cells: 492 of them, 9° apart.
 const POINTS: usize = 3000;
-const FREQUENCY: u32 = 7;
+pub(super) const FREQUENCY: u32 = 7;
 /// How much cells are held to their neighbours, as parts of the mean diagonal of the equations.
 const SMOOTHNESS: [f64; 4] = [1e-3, 1e-2, 0.1, 1.0];
 /// Views are left out in so many turns.
@@ -61,30 +61,19 @@ pub fn beside(
     brdf: Brdf,
     lights: &[[f32; 3]],
 ) -> Result<Option<BroadLight>, Stopped> {
-    let grid = solver.grid.to_whole();
-    let pyramid = Pyramid::new(&grid, FREQUENCY);
-    let whole = Solver {
-        grid: &grid,
-        pyramid: &pyramid,
-        coarse: solver.coarse.clone(),
-        coarse_sees: OnceLock::new(),
-        ..*solver
-    };
+    let around = AllAround::on_cells_of(solver, FREQUENCY);
+    let whole = around.solver(solver);
     let mut nodes = lights.to_vec();
-    nodes.resize(grid.directions.len(), [0.0; 3]);
+    nodes.resize(whole.grid.directions.len(), [0.0; 3]);
     let observations = whole.colours(POINTS).measured();
-    let cells = pyramid.roots();
+    let cells = whole.pyramid.roots();
     let found = mirrored_in(&whole, &observations, &cells, (brdf, &nodes));
     if solver.stop.load(Ordering::Relaxed) {
         return Err(Stopped);
     }
     Ok(found.map(|radiance| {
-        let own = add(
-            &pyramid,
-            (&grid, &mut nodes),
-            (&cells, &radiance),
-            whole.coarse.scale,
-        );
+        let own = add(&whole, &mut nodes, (&cells, &radiance));
+        let grid = whole.grid.clone();
         BroadLight { grid, nodes, own }
     }))
 }
@@ -116,13 +105,12 @@ pub(super) fn mirrored_in(
 
 /// Adds light of cells, smoothly, to nodes that are dark; which they are.
 fn add(
-    pyramid: &Pyramid,
-    (grid, nodes): (&HemisphereGrid, &mut [[f32; 3]]),
+    whole: &Solver<'_>,
+    nodes: &mut [[f32; 3]],
     (cells, radiance): (&[Cell], &[[f32; 3]]),
-    scale: f32,
 ) -> Vec<u32> {
-    let directions = pyramid.geometry(cells).directions;
-    let width = 0.5 * pyramid.spacing(0);
+    let directions = whole.pyramid.geometry(cells).directions;
+    let width = 0.5 * whole.pyramid.spacing(0);
     let at = |direction: Vec3| {
         let (mut sum, mut total) = (Vec3::ZERO, 0.0);
         for (middle, light) in directions.iter().zip(radiance) {
@@ -134,9 +122,9 @@ fn add(
                 total += weight;
             }
         }
-        scale * sum / total.max(f32::MIN_POSITIVE)
+        whole.coarse.scale * sum / total.max(f32::MIN_POSITIVE)
     };
-    let around = nodes.par_iter_mut().zip(&grid.directions).enumerate();
+    let around = nodes.par_iter_mut().zip(&whole.grid.directions).enumerate();
     around
         .filter_map(|(node, (radiance, &direction))| {
             let light = at(direction);

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use glam::{DVec3, Vec3};
 
+use super::below::AllAround;
 use super::cells::{Cell, Pyramid};
 use super::course::{Ending, Grounds};
 use super::design::{Design, Prediction};
@@ -1060,16 +1061,9 @@ fn noise_is_not_taken_for_lamps() {
 /// A solver's cells all around, as [`broad_light`] has them.
 fn with_cells_around<R>(then: impl FnOnce(&Solver<'_>, &[Cell]) -> R) -> R {
     with_solver(&load(), |solver| {
-        let grid = solver.grid.to_whole();
-        let pyramid = Pyramid::new(&grid, 7);
-        let whole = Solver {
-            grid: &grid,
-            pyramid: &pyramid,
-            coarse: solver.coarse.clone(),
-            coarse_sees: std::sync::OnceLock::new(),
-            ..*solver
-        };
-        then(&whole, &pyramid.roots())
+        let around = AllAround::on_cells_of(solver, broad_light::FREQUENCY);
+        let whole = around.solver(solver);
+        then(&whole, &whole.pyramid.roots())
     })
 }
 
