@@ -11,9 +11,6 @@ use super::lighting::{LampNodes, LightNode};
 /// Lamps of a larger angular radius are wide, radians.
 const WIDE: f32 = 0.15;
 
-/// Lights of a larger angular radius are all around: walls, floor and sky, which nothing shows sharply.
-pub(super) const ALL_AROUND: f32 = 1.0;
-
 /// Largest angle between a lamp's direction and a node of it that shines, radians.
 pub(super) fn reach(lamp: &LampNodes) -> f32 {
     lit(lamp)
@@ -45,21 +42,6 @@ pub(super) fn cut(lamp: &LampNodes, largest: f32) -> Vec<LampNodes> {
         }
     }
     cut
-}
-
-/// The same light on fewer nodes: parts of it that reach no further than that are one each, of their flux and where that is in the mean. So few
-/// points add up to what their light does in a lobe that is wider than they are apart.
-pub(super) fn merged(lamp: &LampNodes, largest: f32) -> Option<LampNodes> {
-    let parts = cut(lamp, largest);
-    let nodes = parts.iter().map(|part| {
-        let solid_angle: f32 = part.nodes.iter().map(|node| node.solid_angle).sum();
-        LightNode {
-            direction: part.direction,
-            radiance: part.flux() / solid_angle,
-            solid_angle,
-        }
-    });
-    LampNodes::new(nodes.collect(), lamp.radius)
 }
 
 /// A lamp's lit nodes on either side of the middle of its longer side.
@@ -105,25 +87,6 @@ mod tests {
         assert!((sum - flux).length() < 1e-4, "{sum}");
         let nodes: usize = cut.iter().map(|p| p.nodes.len()).sum();
         assert_eq!(nodes, wide.nodes.len());
-    }
-
-    #[test]
-    fn merged_nodes_have_all_the_light_and_are_few() {
-        let all_around = LampNodes::disc_of(5000, Vec3::Y, Vec3::new(3.0, 2.0, 1.0), 1.5, None);
-        let few = merged(&all_around, 0.1).expect("it shines");
-        assert!(
-            (400..1500).contains(&few.nodes.len()),
-            "{}",
-            few.nodes.len()
-        );
-        assert!((few.flux() - all_around.flux()).length() < 1e-4);
-        let towards = |lamp: &LampNodes| -> Vec3 {
-            let moments = lamp.nodes.iter().map(|n| n.direction * n.flux().x);
-            moments.sum()
-        };
-        // Of the mean direction of a part a cosine of its reach is lost.
-        let lost = towards(&few).distance(towards(&all_around));
-        assert!(lost < 0.005 * all_around.flux().x, "{lost}");
     }
 
     #[test]

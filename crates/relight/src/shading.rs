@@ -11,14 +11,15 @@
 //! only where they disagree (the penumbra) every node has its ray. On a grid of neighbouring points even the
 //! probes are cast for every fourth point only; see [`Shader::visibility`].
 
-use std::borrow::Borrow;
+use std::borrow::{Borrow, Cow};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{Mat2, Vec2, Vec3};
 use smallvec::SmallVec;
 
+use super::environment::Environment;
 use super::lighting::{LampNodes, LightNode, Lighting};
-use super::patches::{self, merged, patches};
+use super::patches::{self, patches};
 use super::sky::{DrawnLobe, Sky};
 use rekindle_capture::Mesh;
 use rekindle_scene::reflectance::{Brdf, Gloss, MIN_COS_VIEW};
@@ -39,9 +40,6 @@ const SCOUTS: usize = 12;
 /// Rays per patch of an environment, and of a wide lamp where it has a larger angular radius (radians) than this.
 const SOFT_RAYS: usize = 4;
 const ONE_RAY: f32 = 0.12;
-/// Reach of the parts of light from all around that stand for their nodes, in σ: they are not further apart than the lobe's standard
-/// deviation, which is 2σ, and add at most 6 % to its square.
-const MERGED: f32 = 1.0;
 /// A lobe of roughness σ does not resolve a lamp of an angular radius below this part of σ |l + v|: the half vector turns
 /// by the radius over |l + v|.
 const UNRESOLVED: f32 = 0.6;
@@ -180,8 +178,8 @@ pub struct Shader<'a> {
     /// See [`Brdf::tint`].
     tint: Vec3,
     support: Support,
-    /// What of an environment lobes mirror, its suns aside.
-    sky: Option<(Sky, DrawnLobe)>,
+    /// What of environments lobes mirror, their suns aside.
+    sky: Option<(Vec<Sky>, DrawnLobe)>,
     /// Once set, nothing more is computed.
     stop: Option<&'a AtomicBool>,
 }
@@ -333,6 +331,12 @@ impl Group {
     }
 }
 
+/// Radiance of some skies together about a unit direction, blurred to this standard deviation along each axis, radians.
+fn of_skies(skies: &[Sky], direction: Vec3, spread: f32) -> Vec3 {
+    let radiances = skies.iter().map(|sky| sky.radiance(direction, spread));
+    radiances.sum()
+}
+
 /// The sine of an angular radius, 1 where that is more than a right angle.
 fn sine(reach: f32) -> f32 {
     reach.min(std::f32::consts::FRAC_PI_2).sin()
@@ -420,11 +424,13 @@ impl<'a> Shader<'a> {
     pub fn new(occluder: &'a Occluder, brdf: Option<Brdf>, lighting: &Lighting) -> Self {
         let mut groups = Vec::new();
         let unresolved = patch_reach(brdf);
+        let mut environments: Vec<Cow<'_, Environment>> =
+            lighting.environment.iter().map(Cow::Borrowed).collect();
         for lamp in &lighting.lamps {
-            let is_all_around = !lamp.muted && patches::reach(lamp) > patches::ALL_AROUND;
-            let few = brdf.filter(|_| is_all_around);
-            let few = few.and_then(|brdf| merged(lamp, MERGED * brdf.sigma));
-            let lamp = few.as_ref().unwrap_or(lamp);
+            if let Some(all_around) = Environment::all_around(lamp) {
+                environments.push(Cow::Owned(all_around));
+                continue;
+            }
             let patches = patches(lamp, unresolved.max(ONE_RAY));
             let (parts, role) = if patches.is_empty() {
                 (std::slice::from_ref(lamp), Role::Lamp)
@@ -440,14 +446,17 @@ impl<'a> Shader<'a> {
             let lamp = LampNodes::new(vec![*node], lighting.radius)?;
             Group::new(&lamp, lighting.centre, Role::Lamp, unresolved)
         }));
-        let mut sky = None;
-        if let Some(environment) = &lighting.environment {
+        for environment in &environments {
             let suns = environment.suns.iter().map(|sun| (sun, Role::Lamp));
             let patches = environment.patches.iter().map(|p| (p, Role::Environment));
             let group = |(part, role)| Group::new(part, lighting.centre, role, unresolved);
             groups.extend(suns.chain(patches).filter_map(group));
-            sky = brdf.map(|brdf| (environment.sky.clone(), DrawnLobe::new(brdf)));
         }
+        let sky = brdf.filter(|_| !environments.is_empty()).map(|brdf| {
+            let skies = environments.into_iter();
+            let skies = skies.map(|environment| environment.into_owned().sky);
+            (skies.collect(), DrawnLobe::new(brdf))
+        });
         Self {
             occluder,
             brdf,
@@ -809,7 +818,7 @@ impl<'a> Shader<'a> {
         specular * point.gloss.height()
     }
 
-    /// Whether lobes may show an environment's sky.
+    /// Whether lobes may show the sky of an environment.
     pub(super) fn shows_sky(&self) -> bool {
         self.sky.is_some()
     }
@@ -818,7 +827,7 @@ impl<'a> Shader<'a> {
     /// hide of it is found out by rays where the point `is_sheltered`.
     pub fn specular_of_sky(&self, point: &ShadingPoint, view: Vec3, is_sheltered: bool) -> Vec3 {
         let mut specular = Vec3::ZERO;
-        let (Some((sky, drawn)), Some(main)) = (&self.sky, self.brdf) else {
+        let (Some((skies, drawn)), Some(main)) = (&self.sky, self.brdf) else {
             return specular;
         };
         if point.gloss.strength <= 0.0 || self.is_stopped() {
@@ -828,7 +837,7 @@ impl<'a> Shader<'a> {
         let lobe = (main.at(point.gloss), point.gloss.roughness);
         drawn.each(lobe, point.normal, view, |mirrored| {
             if mirrored.weight > 0.0 && mirrored.light.dot(point.face_normal) > 0.0 {
-                let arriving = mirrored.weight * sky.radiance(mirrored.light, mirrored.spread);
+                let arriving = mirrored.weight * of_skies(skies, mirrored.light, mirrored.spread);
                 if is_sheltered {
                     rays.push((arriving, mirrored.light, f32::INFINITY));
                 } else {
@@ -849,7 +858,7 @@ impl<'a> Shader<'a> {
 
     /// The same by the middle of the lobe alone, for what is seen in a mirror.
     pub(super) fn specular_of_sky_in_mirror(&self, point: &ShadingPoint, view: Vec3) -> Vec3 {
-        let (Some((sky, _)), Some(main)) = (&self.sky, self.brdf) else {
+        let (Some((skies, _)), Some(main)) = (&self.sky, self.brdf) else {
             return Vec3::ZERO;
         };
         let cos = point.normal.dot(view).max(MIN_COS_VIEW);
@@ -866,7 +875,7 @@ impl<'a> Shader<'a> {
         // Mirroring turns by twice the half vector's angle along the plane of view and normal, and by less across.
         let spread = 2.0 * brdf.sigma * cos.sqrt();
         let reflected = brdf.drawn_scale(cos) * brdf.drawn_reflectance(0.0, cos, cos);
-        sky.radiance(light, spread) * (reflected * point.gloss.height())
+        of_skies(skies, light, spread) * (reflected * point.gloss.height())
     }
 
     /// Irradiance at a point, given its visibilities.

@@ -23,6 +23,7 @@ use super::held_lights::HeldLights;
 use super::observations::Observations;
 use super::observer::Stopped;
 use super::shading::hold_together;
+use super::state::State;
 use super::weights::{magnitude, median};
 use rekindle_base::math::nnls::{self, NnlsParams};
 use rekindle_base::math::ranks::{SURE, placed_signed_ranks};
@@ -76,6 +77,16 @@ pub fn beside(
         let grid = whole.grid.clone();
         BroadLight { grid, nodes, own }
     }))
+}
+
+/// Whether a metal of a state's lobe and lights mirrors light beside these that explains views left out better than diffuse colours do: so
+/// that it is one, whichever lobe leaves less.
+pub fn is_mirrored_by(solver: &Solver<'_>, metal: &State<'_>) -> Result<bool, Stopped> {
+    let mut nodes = solver.pyramid.to_nodes(&metal.cells, &metal.radiance);
+    for value in nodes.iter_mut().flatten() {
+        *value *= solver.coarse.scale;
+    }
+    Ok(beside(solver, metal.brdf, &nodes)?.is_some())
 }
 
 /// Radiance of each of some cells, RGB, in units of the observations' scale, that a metal mirrors beside lights of a radiance per node; `None`

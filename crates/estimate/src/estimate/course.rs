@@ -14,7 +14,7 @@ use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::shading::{Agreement, LightByShading};
 use super::state::{ROUGH, State};
 use super::suspects::{Suspicion, better_lobe, left};
-use super::{diagnose, exposures, sparse_gloss, stated_gloss, strengths};
+use super::{broad_light, diagnose, exposures, sparse_gloss, stated_gloss, strengths};
 use glam::Vec3;
 use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
@@ -539,6 +539,14 @@ fn end(
             None => &coarse.state,
         };
         let fit = finish(solver, start, watch)?;
+        if choice == SpecularChoice::Auto
+            && diagnose::leaves_misfit(&fit.misfit)
+            && let Some(metal) = mirroring_metal(solver, &fit.brdf, watch)?
+        {
+            let because = diagnose::MIRRORS_AROUND.to_owned();
+            let choice = SpecularChoice::Model(SpecularModel::Metal);
+            return end(solver, &metal, because, (choice, causes), watch);
+        }
         // What a metal mirrors of itself is a cause that a second estimate takes away.
         let is_known = fit.brdf.model == SpecularModel::Metal && solver.first.is_none();
         let is_still = solver.seen.turning.is_none();
@@ -579,6 +587,25 @@ fn end(
         grounds: Grounds::Views,
         agreement,
     })
+}
+
+/// A coarse fit of a metal in place of another lobe that leaves more than noise, if the surface mirrors broad light: in a room such light is
+/// laid to diffuse colours where the lobe is chosen, which leaves another one with less.
+fn mirroring_metal<'s>(
+    solver: &'s Solver<'_>,
+    lobe: &Brdf,
+    watch: &mut Watch<'_>,
+) -> Result<Option<CoarseFit<'s>>, Stopped> {
+    let is_still = solver.seen.turning.is_none();
+    let is_open = is_still && solver.first.is_none() && lobe.model != SpecularModel::Metal;
+    if !is_open || watch.observer.enough() {
+        return Ok(None);
+    }
+    let mut metal = solver.compare_sigmas(SpecularModel::Metal, Some(lobe.sigma), watch)?;
+    solver.improve_coarse(&mut metal, watch)?;
+    go_on(watch.observer.progress("looking for broad light", 0.85))?;
+    let is_mirrored = broad_light::is_mirrored_by(solver, &metal.state)?;
+    Ok(is_mirrored.then_some(metal))
 }
 
 /// By how much smoother and rougher a coarse fit's lobe may be without leaving more than it does beyond chance: broad light makes good on

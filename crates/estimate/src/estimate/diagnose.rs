@@ -48,6 +48,10 @@ pub fn chosen([(least, best), (more, other)]: [(f64, SpecularModel); 2]) -> Stri
     )
 }
 
+/// Why a metal was chosen, whatever it leaves.
+pub const MIRRORS_AROUND: &str =
+    "what a metal mirrors from all around explains views left out better than diffuse colours do";
+
 /// Fewer surface points seen by two views than this are no basis for an estimate.
 const FEWEST_POINTS: usize = 60;
 
