@@ -12,28 +12,19 @@ use super::lobes::{Lobe, Source, merge};
 use super::patches::reach;
 use super::sky::Sky;
 use rayon::prelude::*;
-use rstar::RTree;
-use rstar::primitives::GeomWithData;
 use rekindle_capture::{CaptureError, read_probe, read_radiance};
 use rekindle_scene::hemisphere::{
-    HemisphereGrid, direction_from_lat_long, lat_long_from_direction,
+    HemisphereGrid, SkyPiece, direction_from_lat_long, lat_long_from_direction, lat_long_of,
 };
 
 /// Larger pictures are averaged down to this many columns first: finer than any lobe needs.
 const MAX_COLUMNS: usize = 1024;
 /// Patches whose visibility is judged as a whole.
-const PATCHES: usize = 96;
+pub(super) const PATCHES: usize = 96;
 /// Nodes of each patch.
 const NODES_PER_PATCH: usize = 16;
-/// Lamps of a larger angular radius are all around, radians.
-const ALL_AROUND: f32 = 1.0;
-/// Rows of their picture at most, the distance between its pixels at least, and the part of the sphere about a node that is its own, in distances
-/// between nodes.
-const ROWS: usize = 128;
-const PIXEL: f32 = 1.5;
-const OWN: f32 = 0.8;
-/// Places looked at along each side of such a pixel.
-const LOOKS: usize = 3;
+/// Rows of a picture of lamps.
+const ROWS: u32 = 128;
 /// What has so many times the mean radiance of all, and reaches no further than [`SUN_REACH`] radians, is a sun: its shadows have
 /// edges, and half vectors drawn from a lobe would miss it or meet it.
 const SUN_RADIANCE: f32 = 10.0;
@@ -56,10 +47,16 @@ pub struct Environment {
 }
 
 impl Environment {
-    /// Distant light from all around: walls, floor and sky, which no lobe shows sharply. `None` where a lamp is no such light.
-    pub(super) fn all_around(lamp: &LampNodes) -> Option<Self> {
-        let is_so = !lamp.muted && lamp.radius.is_none() && reach(lamp) > ALL_AROUND;
-        is_so.then(|| LatLong::of_nodes(&lamp.nodes).reduced())
+    /// Whether a lamp is no sun of light of which this is the mean radiance, all channels added: nothing of it has edges.
+    pub(super) fn is_sky(lamp: &LampNodes, usual: f32) -> bool {
+        let solid_angle: f32 = lamp.nodes.iter().map(|node| node.solid_angle).sum();
+        let radiance = lamp.flux().element_sum() / solid_angle;
+        radiance < SUN_RADIANCE * usual || reach(lamp) >= SUN_REACH
+    }
+
+    /// Distant lamps together.
+    pub(super) fn of_lamps(lamps: &[&LampNodes]) -> Self {
+        LatLong::of_lamps(lamps).reduced()
     }
 
     /// All its light as lamps: suns, then patches.
@@ -162,39 +159,13 @@ impl LatLong {
         Self::new(columns, rows, &pixels)
     }
 
-    /// The picture of nodes on a part of the sphere. It holds all their flux.
-    fn of_nodes(nodes: &[LightNode]) -> Self {
-        let solid_angles = nodes.iter().map(|node| node.solid_angle);
-        let spacing = (solid_angles.sum::<f32>() / nodes.len() as f32).sqrt();
-        let rows = (std::f32::consts::PI / (PIXEL * spacing)) as usize;
-        let rows = rows.clamp(2, ROWS);
-        let placed = nodes
-            .iter()
-            .map(|node| GeomWithData::new(node.direction.to_array(), node.radiance));
-        let tree: RTree<GeomWithData<[f32; 3], Vec3>> = RTree::bulk_load(placed.collect());
-        let at = |direction: Vec3| {
-            let nearest = tree.nearest_neighbor_iter_with_distance_2(direction.to_array());
-            let near = nearest.take(1).find(|(_, d)| *d < (OWN * spacing).powi(2));
-            near.map_or(Vec3::ZERO, |(node, _)| node.data)
-        };
-        let (columns, looks) = (2 * rows, LOOKS as f32);
-        let pixel = |i: usize| {
-            let corner = Vec2::new((i % columns) as f32, (i / columns) as f32);
-            let look = |k: usize| {
-                let within = Vec2::new((k % LOOKS) as f32, (k / LOOKS) as f32) + 0.5;
-                let place = (corner + within / looks) / Vec2::new(columns as f32, rows as f32);
-                at(direction_from_lat_long(place))
-            };
-            (0..LOOKS * LOOKS).map(look).sum::<Vec3>() / (looks * looks)
-        };
-        let pixels: Vec<Vec3> = (0..columns * rows).into_par_iter().map(pixel).collect();
-        let mut picture = Self::new(columns, rows, &pixels);
-        let flux: DVec3 = nodes.iter().map(|node| node.flux().as_dvec3()).sum();
-        let scale = flux.as_vec3() / picture.flux().max(Vec3::splat(f32::MIN_POSITIVE));
-        for radiance in &mut picture.radiance {
-            *radiance *= scale;
-        }
-        picture
+    /// The picture of some lamps, with all their flux.
+    fn of_lamps(lamps: &[&LampNodes]) -> Self {
+        let nodes = lamps.iter().flat_map(|lamp| &lamp.nodes);
+        let piece = |n: &LightNode| SkyPiece::new(n.direction, n.radiance, n.solid_angle);
+        let picture = lat_long_of(&nodes.map(piece).collect::<Vec<_>>(), ROWS);
+        let radiance: Vec<Vec3> = picture.radiance.into_iter().map(Vec3::from).collect();
+        Self::new(picture.width as usize, picture.height as usize, &radiance)
     }
 
     fn new(width: usize, height: usize, radiance: &[Vec3]) -> Self {
@@ -600,32 +571,31 @@ mod tests {
     }
 
     #[test]
-    fn a_light_from_all_around_is_an_environment_of_as_much_light_in_the_same_place() {
+    fn lamps_together_are_an_environment_of_as_much_light_in_the_same_place() {
         let (radius, flux) = (1.4_f32, Vec3::new(3.0, 2.0, 1.0));
         let lamp = LampNodes::disc_of(9000, Vec3::Y, flux, radius, None);
-        let environment = Environment::all_around(&lamp).expect("it is all around");
-        assert!(environment.suns.is_empty());
+        // Another one over its rim.
+        let inner = LampNodes::disc_of(300, Vec3::X, 0.02 * flux, 0.3, None);
+        let environment = Environment::of_lamps(&[&lamp, &inner]);
         let found: Vec3 = environment.lamps().map(LampNodes::flux).sum();
-        assert!((found - flux).length() < 1e-3 * flux.length(), "{found}");
+        let both = 1.02 * flux;
+        assert!((found - both).length() < 1e-3 * both.length(), "{found}");
         let towards = |lamp: &LampNodes| -> Vec3 {
             let moments = lamp.nodes.iter().map(|n| n.direction * n.flux().x);
             moments.sum()
         };
         let moment: Vec3 = environment.patches.iter().map(towards).sum();
-        let lost = moment.distance(towards(&lamp));
+        let lost = moment.distance(towards(&lamp) + towards(&inner));
         assert!(lost < 0.01 * flux.x, "{lost}");
         let even = flux.x / (std::f32::consts::TAU * (1.0 - radius.cos()));
         let shown = |polar: f32| {
-            let direction = Vec3::new(polar.sin(), polar.cos(), 0.0);
+            let direction = Vec3::new(-polar.sin(), polar.cos(), 0.0);
             environment.sky.radiance(direction, 0.02).x / even
         };
         for polar in [0.0, 0.4, 0.8, 1.2] {
             assert!((shown(polar) - 1.0).abs() < 0.05, "{}", shown(polar));
         }
         assert!(shown(1.6) < 0.01 && shown(3.0) == 0.0);
-        // What is smaller is seen whole or not at all.
-        let small = LampNodes::disc_of(9000, Vec3::Y, flux, 0.8, None);
-        assert_eq!(Environment::all_around(&small), None);
     }
 
     #[test]

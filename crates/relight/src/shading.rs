@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use glam::{Mat2, Vec2, Vec3};
 use smallvec::SmallVec;
 
-use super::environment::Environment;
+use super::environment::{self, Environment};
 use super::lighting::{LampNodes, LightNode, Lighting};
 use super::patches::{self, patches};
 use super::sky::{DrawnLobe, Sky};
@@ -331,6 +331,20 @@ impl Group {
     }
 }
 
+/// The lamps that are shaded as one environment: where the wide ones together have more patches than that, all but suns.
+fn skies(lighting: &Lighting, unresolved: f32) -> Vec<&LampNodes> {
+    let shines = |lamp: &&LampNodes| !lamp.muted && lamp.radius.is_none();
+    let distant: Vec<&LampNodes> = lighting.lamps.iter().filter(shines).collect();
+    let cut = |lamp: &&LampNodes| patches(lamp, unresolved.max(ONE_RAY)).len();
+    if distant.iter().map(cut).sum::<usize>() <= environment::PATCHES {
+        return Vec::new();
+    }
+    let flux: Vec3 = distant.iter().map(|lamp| lamp.flux()).sum();
+    let usual = flux.element_sum() / (4.0 * std::f32::consts::PI);
+    let is_sky = |lamp: &&LampNodes| Environment::is_sky(lamp, usual);
+    distant.into_iter().filter(is_sky).collect()
+}
+
 /// Radiance of some skies together about a unit direction, blurred to this standard deviation along each axis, radians.
 fn of_skies(skies: &[Sky], direction: Vec3, spread: f32) -> Vec3 {
     let radiances = skies.iter().map(|sky| sky.radiance(direction, spread));
@@ -424,11 +438,14 @@ impl<'a> Shader<'a> {
     pub fn new(occluder: &'a Occluder, brdf: Option<Brdf>, lighting: &Lighting) -> Self {
         let mut groups = Vec::new();
         let unresolved = patch_reach(brdf);
+        let sky = brdf.map_or(Vec::new(), |_| skies(lighting, unresolved));
         let mut environments: Vec<Cow<'_, Environment>> =
             lighting.environment.iter().map(Cow::Borrowed).collect();
+        if !sky.is_empty() {
+            environments.push(Cow::Owned(Environment::of_lamps(&sky)));
+        }
         for lamp in &lighting.lamps {
-            if let Some(all_around) = Environment::all_around(lamp) {
-                environments.push(Cow::Owned(all_around));
+            if sky.iter().any(|other| std::ptr::eq(*other, lamp)) {
                 continue;
             }
             let patches = patches(lamp, unresolved.max(ONE_RAY));

@@ -57,8 +57,12 @@ impl SkyLevel {
 
     /// Radiance from a unit direction, between pixels.
     fn at(&self, direction: Vec3) -> Vec3 {
+        self.at_place(lat_long_from_direction(direction))
+    }
+
+    /// The same by the place in the picture, 0 to 1.
+    fn at_place(&self, uv: Vec2) -> Vec3 {
         let columns = 2 * self.rows;
-        let uv = lat_long_from_direction(direction);
         let x = uv.x * columns as f32 - 0.5;
         let y = (uv.y * self.rows as f32 - 0.5).clamp(0.0, (self.rows - 1) as f32);
         let (left, top) = (x.floor(), (y as usize).min(self.rows - 2));
@@ -161,7 +165,8 @@ impl Sky {
         let level = (spread / finest).max(1.0).log2();
         let level = level.min((self.levels.len() - 1) as f32);
         let low = level as usize;
-        let of = |k: usize| self.levels[k].at(direction);
+        let place = lat_long_from_direction(direction);
+        let of = |k: usize| self.levels[k].at_place(place);
         let radiance = if low + 1 < self.levels.len() {
             of(low).lerp(of(low + 1), level - low as f32)
         } else {
@@ -244,7 +249,7 @@ mod tests {
     use std::f32::consts::TAU;
 
     use super::*;
-    use crate::{LatLong, Lighting, Shader, ShadingPoint};
+    use crate::{LampNodes, LatLong, LightNode, Lighting, Shader, ShadingPoint};
     use rekindle_capture::Mesh;
     use rekindle_scene::reflectance::{Gloss, SpecularModel};
     use rekindle_scene::surface::Occluder;
@@ -404,5 +409,73 @@ mod tests {
         assert_eq!(none, Vec3::ZERO);
         let weak = shader.specular_of_sky(&point.with_gloss(half), view, false);
         assert!((weak / open - 0.5).abs().max_element() < 1e-3, "{weak}");
+    }
+
+    #[test]
+    fn many_wide_lamps_together_shine_as_their_nodes_do() {
+        // A floor, half of it beside a high wall.
+        let corner = |x: f32, y: f32, z: f32| Vec3::new(4.0 * x, 4.0 * y, 4.0 * z);
+        let floor = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+        let wall = [(0.0, -1.0), (0.0, 1.0), (1.0, 1.0), (1.0, -1.0)];
+        let mesh = Mesh {
+            positions: [
+                floor.map(|(x, z)| corner(x, 0.0, z)),
+                wall.map(|(y, z)| corner(0.1, y, z)),
+            ]
+            .concat(),
+            normals: [[Vec3::Y; 4], [Vec3::NEG_X; 4]].concat(),
+            triangles: vec![[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]],
+            ..Mesh::default()
+        };
+        let occluder = Occluder::new(&mesh);
+        let wide = (0..12).map(|i| {
+            let turn = i as f32 * 2.4;
+            let height = 0.1 + 0.8 * i as f32 / 12.0;
+            let across = (1.0 - height * height).sqrt();
+            let towards = Vec3::new(across * turn.cos(), height, across * turn.sin());
+            let flux = Vec3::new(1.0 + turn.sin(), 1.0, 1.0 + turn.cos());
+            LampNodes::disc_of(900, towards, flux, 0.3 + 0.02 * i as f32, None)
+        });
+        let sun = LampNodes::disc_of(40, Vec3::new(-0.6, 0.8, 0.0), Vec3::ONE, 0.03, None);
+        let lamps: Vec<LampNodes> = wide.chain([sun]).collect();
+        for sigma in [0.06, 0.15] {
+            let brdf = Brdf::new(SpecularModel::Ggx, sigma);
+            let shader = Shader::new(&occluder, Some(brdf), &Lighting::of(lamps.clone()));
+            assert!(shader.shows_sky());
+            for place in [Vec3::new(-3.0, 0.0, 0.0), Vec3::new(-0.5, 0.0, 0.5)] {
+                let point = ShadingPoint::smooth(place, Vec3::Y);
+                let seen: Vec<_> = (0..shader.groups())
+                    .map(|group| shader.cast(&point, group))
+                    .collect();
+                let origin = occluder.offset_origin(place, Vec3::Y);
+                let is_seen =
+                    |node: &&LightNode| !occluder.occluded(origin, node.direction, f32::INFINITY);
+                for view in [Vec3::new(-0.5, 1.0, 0.2), Vec3::new(0.1, 1.0, 0.0)] {
+                    let view = view.normalize_or_zero();
+                    let terms = brdf.view_terms(Vec3::Y, view);
+                    let nodes = || lamps.iter().flat_map(|lamp| &lamp.nodes);
+                    let lobe = |n: &LightNode| n.flux() * brdf.lobe(&terms, n.direction);
+                    let lit = |n: &LightNode| {
+                        let cos = n.direction.y.max(0.0);
+                        n.flux() * cos * brdf.diffuse_entry(cos)
+                    };
+                    let sky = shader.specular_of_sky(&point, view, true);
+                    let shade = shader.shade(&point, view, &seen);
+                    let specular: Vec3 = nodes().filter(is_seen).map(lobe).sum();
+                    let open: Vec3 = nodes().map(lobe).sum();
+                    let off = shade.specular + sky - specular;
+                    assert!(
+                        off.length() < 0.08 * open.length(),
+                        "σ {sigma}, {place}, {view}: off by {off} of {specular}"
+                    );
+                    let irradiance: Vec3 = nodes().filter(is_seen).map(lit).sum();
+                    let off = shade.irradiance - irradiance;
+                    assert!(
+                        off.length() < 0.04 * irradiance.length(),
+                        "σ {sigma}, {place}: off by {off} of {irradiance}"
+                    );
+                }
+            }
+        }
     }
 }

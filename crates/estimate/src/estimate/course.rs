@@ -539,14 +539,6 @@ fn end(
             None => &coarse.state,
         };
         let fit = finish(solver, start, watch)?;
-        if choice == SpecularChoice::Auto
-            && diagnose::leaves_misfit(&fit.misfit)
-            && let Some(metal) = mirroring_metal(solver, &fit.brdf, watch)?
-        {
-            let because = diagnose::MIRRORS_AROUND.to_owned();
-            let choice = SpecularChoice::Model(SpecularModel::Metal);
-            return end(solver, &metal, because, (choice, causes), watch);
-        }
         // What a metal mirrors of itself is a cause that a second estimate takes away.
         let is_known = fit.brdf.model == SpecularModel::Metal && solver.first.is_none();
         let is_still = solver.seen.turning.is_none();
@@ -587,25 +579,6 @@ fn end(
         grounds: Grounds::Views,
         agreement,
     })
-}
-
-/// A coarse fit of a metal in place of another lobe that leaves more than noise, if the surface mirrors broad light: in a room such light is
-/// laid to diffuse colours where the lobe is chosen, which leaves another one with less.
-fn mirroring_metal<'s>(
-    solver: &'s Solver<'_>,
-    lobe: &Brdf,
-    watch: &mut Watch<'_>,
-) -> Result<Option<CoarseFit<'s>>, Stopped> {
-    let is_still = solver.seen.turning.is_none();
-    let is_open = is_still && solver.first.is_none() && lobe.model != SpecularModel::Metal;
-    if !is_open || watch.observer.enough() {
-        return Ok(None);
-    }
-    let mut metal = solver.compare_sigmas(SpecularModel::Metal, Some(lobe.sigma), watch)?;
-    solver.improve_coarse(&mut metal, watch)?;
-    go_on(watch.observer.progress("looking for broad light", 0.85))?;
-    let is_mirrored = broad_light::is_mirrored_by(solver, &metal.state)?;
-    Ok(is_mirrored.then_some(metal))
 }
 
 /// By how much smoother and rougher a coarse fit's lobe may be without leaving more than it does beyond chance: broad light makes good on
@@ -720,15 +693,15 @@ fn resolved<'s>(
     if !is_narrow || choice != SpecularChoice::Auto || watch.observer.enough() {
         return Ok(None);
     }
-    let tried = on_split_with_all(solver, coarse, watch, |states| {
-        let of = |state: &State<'_>| (state.unexplained(), state.brdf);
-        let mut tried: Vec<(f64, Brdf)> = states.iter().map(of).collect();
+    let (brdf, because) = on_split_with_all(solver, coarse, watch, |states, watch| {
+        let mut tried: Vec<(f64, &State<'_>)> =
+            states.iter().map(|s| (s.unexplained(), s)).collect();
         tried.sort_by(|a, b| a.0.total_cmp(&b.0));
-        tried
+        let (chosen, because) = chosen(solver, &tried, watch)?;
+        Ok((tried[chosen].1.brdf, because))
     })?;
-    let because = diagnose::chosen([tried[0], tried[1]].map(|(left, brdf)| (left, brdf.model)));
     let mut state = coarse.clone();
-    state.brdf = tried[0].1;
+    state.brdf = brdf;
     Ok(Some((state, because)))
 }
 
@@ -741,7 +714,7 @@ fn contradicted_lobe(
     if !solver.is_lobe_asked_for || watch.observer.enough() {
         return Ok(None);
     }
-    on_split_with_all(solver, coarse, watch, better_lobe)
+    on_split_with_all(solver, coarse, watch, |states, _| Ok(better_lobe(states)))
 }
 
 /// Something asked of a coarse fit's lights where they are split once, with all lobes, its own first.
@@ -749,7 +722,7 @@ fn on_split_with_all<R>(
     solver: &Solver<'_>,
     coarse: &State<'_>,
     watch: &mut Watch<'_>,
-    then: impl FnOnce(&[State<'_>]) -> R,
+    then: impl FnOnce(&[State<'_>], &mut Watch<'_>) -> Result<R, Stopped>,
 ) -> Result<R, Stopped> {
     let observations = solver.middle_observations(coarse).to_gray();
     let split = solver.refine(coarse, &observations);
@@ -762,7 +735,7 @@ fn on_split_with_all<R>(
         state.brdf.model = model;
         states.push(improved(solver, state)?);
     }
-    Ok(then(&states))
+    then(&states, watch)
 }
 
 /// The coarse fit of the model asked for, or of the one that leaves least, with the reason in words.
@@ -788,12 +761,60 @@ pub fn choose_near<'s>(
         ));
     }
     let Compared { mut fits, .. } = compared(solver, near, watch)?;
-    let because = if fits.len() < 2 {
-        "it was the only one tried before the end".to_owned()
-    } else {
-        diagnose::chosen([0, 1].map(|k| (fits[k].unexplained, fits[k].state.brdf.model)))
+    if fits.len() < 2 {
+        let because = "it was the only one tried before the end".to_owned();
+        return Ok((fits.swap_remove(0), because));
+    }
+    let tried: Vec<_> = fits
+        .iter()
+        .map(|fit| (fit.unexplained, &fit.state))
+        .collect();
+    let (chosen, because) = chosen(solver, &tried, watch)?;
+    Ok((fits.swap_remove(chosen), because))
+}
+
+/// Which lobe is chosen, of states with what they leave, the least first, and why: the first, unless a metal is among those that leave about
+/// as much and there is a diffuse part, or none.
+fn chosen(
+    solver: &Solver<'_>,
+    tried: &[(f64, &State<'_>)],
+    watch: &mut Watch<'_>,
+) -> Result<(usize, String), Stopped> {
+    let most = CLEARLY_LESS * tried[0].0;
+    let close = tried.partition_point(|(left, _)| *left <= most);
+    let close: Vec<&State<'_>> = tried[..close].iter().map(|(_, state)| *state).collect();
+    if let Some(chosen) = by_diffuse_part(solver, &close, watch)? {
+        return Ok(chosen);
+    }
+    let because = diagnose::chosen([0, 1].map(|k| (tried[k].0, tried[k].1.brdf.model)));
+    Ok((0, because))
+}
+
+/// Of a metal and others that leave about as much the one that views left out bear out by whether there is a diffuse part, if that is not the
+/// first, and why. In a room next to nothing else tells them apart.
+fn by_diffuse_part(
+    solver: &Solver<'_>,
+    tried: &[&State<'_>],
+    watch: &mut Watch<'_>,
+) -> Result<Option<(usize, String)>, Stopped> {
+    let is_metal = |state: &&State<'_>| state.brdf.model == SpecularModel::Metal;
+    let metal = tried.iter().position(is_metal);
+    let other = tried.iter().position(|state| !is_metal(state));
+    let (Some(metal), Some(other)) = (metal, other) else {
+        return Ok(None);
     };
-    Ok((fits.swap_remove(0), because))
+    if solver.seen.turning.is_some() || watch.observer.enough() {
+        return Ok(None);
+    }
+    go_on(watch.observer.progress("looking for a diffuse part", 0.15))?;
+    let deviations = broad_light::against_colours(solver, tried[metal])?;
+    let (chosen, because) = if deviations > SURE {
+        (metal, diagnose::MIRRORS_ALL)
+    } else {
+        (other, diagnose::HAS_DIFFUSE_PART)
+    };
+    let is_told = deviations.abs() > SURE && chosen != 0;
+    Ok(is_told.then(|| (chosen, because.to_owned())))
 }
 
 /// The coarse fit of a model.

@@ -48,9 +48,9 @@ pub fn chosen([(least, best), (more, other)]: [(f64, SpecularModel); 2]) -> Stri
     )
 }
 
-/// Why a metal was chosen, whatever it leaves.
-pub const MIRRORS_AROUND: &str =
-    "what a metal mirrors from all around explains views left out better than diffuse colours do";
+/// Why a metal was chosen, or not, though another lobe leaves less.
+pub const MIRRORS_ALL: &str = "light from all around that a metal mirrors explains views left out better than diffuse colours do";
+pub const HAS_DIFFUSE_PART: &str = "diffuse colours explain views left out better than light from all around that a metal would mirror";
 
 /// Fewer surface points seen by two views than this are no basis for an estimate.
 const FEWEST_POINTS: usize = 60;

@@ -1076,6 +1076,9 @@ fn what_a_metal_mirrors_beside_its_lights_is_light_and_what_paint_shows_is_not()
         let find = |observations: &Observations| {
             broad_light::mirrored_in(solver, observations, cells, (brdf, &dark))
         };
+        let against_colours = |observations: &Observations| {
+            broad_light::against_colours_in(solver, observations, cells, (brdf, &dark))
+        };
         // A room: brighter and bluer towards +X, warm below.
         let directions = solver.pyramid.geometry(cells).directions;
         let of_room = |d: &Vec3| [0.5 - 0.3 * d.y, 0.5 + 0.2 * d.x, 0.5 + 0.4 * d.x];
@@ -1092,6 +1095,7 @@ fn what_a_metal_mirrors_beside_its_lights_is_light_and_what_paint_shows_is_not()
         errors.sort_by(f32::total_cmp);
         let median = errors[errors.len() / 2];
         assert!(median < 0.1, "off by {median}");
+        assert!(against_colours(&observations) > SURE);
         // The same object painted, under light from above.
         for point in &observations.points {
             let lit = 0.2 + point.normal.y.max(0.0);
@@ -1105,5 +1109,13 @@ fn what_a_metal_mirrors_beside_its_lights_is_light_and_what_paint_shows_is_not()
             }
         }
         assert!(find(&observations).is_none(), "paint is no light");
+        assert!(against_colours(&observations) < -SURE);
+        // And in white all over.
+        for point in &observations.points {
+            for row in &mut observations.rows[point.rows.clone()] {
+                row.radiance = [0.2 + point.normal.y.max(0.0); 3];
+            }
+        }
+        assert!(against_colours(&observations) < -SURE);
     });
 }
