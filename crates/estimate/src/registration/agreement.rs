@@ -37,6 +37,17 @@ pub struct Agreement {
     views: usize,
     /// Of each point, the views that see it, with its radiance there, RGB: zero where it is too grazing to compare or no data.
     points: Vec<Vec<(usize, [f64; 3])>>,
+    /// Which of [`FACINGS`] sides each point faces.
+    facing: Vec<usize>,
+}
+
+/// Sides that a point may face: along each axis, to and fro.
+const FACINGS: usize = 6;
+
+/// The side that a normal faces.
+fn facing(normal: Vec3) -> usize {
+    let axis = normal.abs().max_position();
+    2 * axis + usize::from(normal[axis] < 0.0)
 }
 
 /// The mean of R, G and B.
@@ -47,20 +58,42 @@ fn gray(radiance: [f64; 3]) -> f64 {
 impl Agreement {
     /// Looks at about `count` points from all views; one surface per view.
     pub fn new(mesh: &Mesh, views: &[View], surfaces: &[ViewSurface], count: usize) -> Self {
-        let points = mesh
+        let (points, facing) = mesh
             .spread(count)
             .into_par_iter()
-            .map(|(triangle, at)| seen_in(views, surfaces, &mesh.point(triangle, at)))
-            .collect();
+            .map(|(triangle, at)| {
+                let point = mesh.point(triangle, at);
+                (seen_in(views, surfaces, &point), facing(point.normal))
+            })
+            .unzip();
         Self {
             views: views.len(),
             points,
+            facing,
         }
     }
 
     /// Points that are at hand, each with the views that see it and its radiance there, RGB.
     pub fn of(views: usize, points: Vec<Vec<(usize, [f64; 3])>>) -> Self {
-        Self { views, points }
+        Self {
+            views,
+            facing: vec![0; points.len()],
+            points,
+        }
+    }
+
+    /// The points that face one side, or those that don't.
+    fn part(&self, side: usize, is_other: bool) -> Self {
+        let placed = self.points.iter().zip(&self.facing);
+        let (points, facing) = placed
+            .filter(|&(_, facing)| (*facing != side) == is_other)
+            .map(|(seen, facing)| (seen.clone(), *facing))
+            .unzip();
+        Self {
+            views: self.views,
+            points,
+            facing,
+        }
     }
 
     /// Share of the surface seen by no view, one, two, and three or more.
@@ -144,13 +177,34 @@ impl Agreement {
         Self {
             views: self.views,
             points: self.points.iter().map(even).collect(),
+            facing: self.facing.clone(),
         }
     }
 
     /// By how much the views disagree: the median over points of the mean relative deviation from the point's median.
     pub fn disagreement(&self) -> f64 {
-        let mut all: Vec<f64> = self.points.iter().filter_map(|v| disagreement(v)).collect();
+        median(&mut self.disagreements()).unwrap_or(0.0)
+    }
+
+    /// The same with each point evened by the gains that points say which face other sides: exposures hold for all of them, and what a flat
+    /// side mirrors as a whole for itself. Where nobody else tells gains, all stays as it is.
+    pub fn disagreement_evened_by_others(&self) -> f64 {
+        let of_side = |side: usize| {
+            let own = self.part(side, false);
+            match self.part(side, true).gains() {
+                Some(gains) => own.evened(&gains).disagreements(),
+                None => own.disagreements(),
+            }
+        };
+        let mut all: Vec<f64> = (0..FACINGS)
+            .into_par_iter()
+            .flat_map_iter(of_side)
+            .collect();
         median(&mut all).unwrap_or(0.0)
+    }
+
+    fn disagreements(&self) -> Vec<f64> {
+        self.points.iter().filter_map(|v| disagreement(v)).collect()
     }
 
     /// By how much the views disagree less than in `other`, which has the same points: the mean, over the points that both
@@ -295,4 +349,54 @@ fn sample(photograph: &Photograph, at: DVec2) -> [f64; 3] {
         sum += weight * Vec3::from(photograph.radiance[i]);
     }
     sum.as_dvec3().to_array()
+}
+
+#[cfg(test)]
+mod tests {
+    use rekindle_base::math::random::Random;
+
+    use super::*;
+
+    /// Three views of points that face all sides. The last sees mostly one side, and of each side so much brighter as `brighter` says.
+    fn seen(brighter: impl Fn(usize) -> f64) -> Agreement {
+        let random = Random::new(3, 0);
+        let point = |i: usize| {
+            let side = i % (FACINGS + 4);
+            let facing = side.min(FACINGS - 1);
+            let own = random.of(i as u64);
+            let albedo = 0.2 + 0.6 * own.uniform(0);
+            let radiance = |view: usize, factor: f64| {
+                let noise = 1.0 + 0.01 * own.normal(1 + view as u64);
+                (view, [albedo * factor * noise; 3])
+            };
+            let mut views = vec![radiance(0, 1.0), radiance(1, 1.0)];
+            if facing == FACINGS - 1 || i.is_multiple_of(7) {
+                views.push(radiance(2, brighter(facing)));
+            }
+            (views, facing)
+        };
+        let (points, facing) = (0..3000).map(point).unzip();
+        Agreement {
+            views: 3,
+            points,
+            facing,
+        }
+    }
+
+    #[test]
+    fn what_one_side_mirrors_is_no_exposure() {
+        let exposed = seen(|_| 1.4);
+        let mirroring = seen(|side| if side == FACINGS - 1 { 1.4 } else { 1.0 });
+        for agreement in [&exposed, &mirroring] {
+            let gains = agreement.gains().expect("enough is shared");
+            assert!((gains[2][0] - 1.4).abs() < 0.02, "{gains:?}");
+            let evened = agreement.evened(&gains).disagreement();
+            assert!(evened < 0.7 * agreement.disagreement());
+        }
+        let evened = |agreement: &Agreement| {
+            agreement.disagreement_evened_by_others() / agreement.disagreement()
+        };
+        assert!(evened(&exposed) < 0.7, "{}", evened(&exposed));
+        assert!(evened(&mirroring) > 0.95, "{}", evened(&mirroring));
+    }
 }

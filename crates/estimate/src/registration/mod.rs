@@ -40,7 +40,7 @@ const CLEARLY_WORSE: f64 = 3.0;
 /// bowl sends to itself, makes for half of it.
 const LEAST_RATIO: f64 = 1.025;
 
-/// And unless, with the exposures evened out, the views disagree by this part at most.
+/// And unless, with the exposures evened out as other sides of the object say, the views disagree by this part at most.
 const MOST_LEFT: f64 = 0.7;
 
 /// Corrections of less than this, in percent, are not worth a word.
@@ -200,8 +200,7 @@ pub fn register(
     let gains = gains.filter(|gains| gains.as_flattened().iter().any(differ));
     let are_even = gains.is_none();
     if let Some(gains) = gains {
-        let left = agreement.evened(&gains).disagreement();
-        if left < MOST_LEFT * agreement.disagreement() {
+        if agreement.disagreement_evened_by_others() < MOST_LEFT * agreement.disagreement() {
             for (correction, gains) in corrections.iter_mut().zip(gains) {
                 *correction = correction.with_gains(gains);
             }
