@@ -331,18 +331,24 @@ impl Group {
     }
 }
 
-/// The lamps that are shaded as one environment: where the wide ones together have more patches than that, all but suns.
-fn skies(lighting: &Lighting, unresolved: f32) -> Vec<&LampNodes> {
-    let shines = |lamp: &&LampNodes| !lamp.muted && lamp.radius.is_none();
-    let distant: Vec<&LampNodes> = lighting.lamps.iter().filter(shines).collect();
-    let cut = |lamp: &&LampNodes| patches(lamp, unresolved.max(ONE_RAY)).len();
-    if distant.iter().map(cut).sum::<usize>() <= environment::PATCHES {
-        return Vec::new();
+/// Which lamps are shaded as one environment: where the wide ones together have more patches than that, all but suns.
+fn in_sky(lighting: &Lighting, patches: &[Vec<LampNodes>]) -> Vec<bool> {
+    let is_distant = |lamp: &LampNodes| !lamp.muted && lamp.radius.is_none();
+    let lamps = lighting.lamps.iter();
+    let distant = lamps
+        .clone()
+        .zip(patches)
+        .filter(|(lamp, _)| is_distant(lamp));
+    let (mut flux, mut cut) = (Vec3::ZERO, 0);
+    for (lamp, patches) in distant {
+        flux += lamp.flux();
+        cut += patches.len();
     }
-    let flux: Vec3 = distant.iter().map(|lamp| lamp.flux()).sum();
     let usual = flux.element_sum() / (4.0 * std::f32::consts::PI);
-    let is_sky = |lamp: &&LampNodes| Environment::is_sky(lamp, usual);
-    distant.into_iter().filter(is_sky).collect()
+    let is_sky = |lamp: &LampNodes| is_distant(lamp) && Environment::is_sky(lamp, usual);
+    lamps
+        .map(|lamp| cut > environment::PATCHES && is_sky(lamp))
+        .collect()
 }
 
 /// Radiance of some skies together about a unit direction, blurred to this standard deviation along each axis, radians.
@@ -438,18 +444,25 @@ impl<'a> Shader<'a> {
     pub fn new(occluder: &'a Occluder, brdf: Option<Brdf>, lighting: &Lighting) -> Self {
         let mut groups = Vec::new();
         let unresolved = patch_reach(brdf);
-        let sky = brdf.map_or(Vec::new(), |_| skies(lighting, unresolved));
+        let cut = |lamp| patches(lamp, unresolved.max(ONE_RAY));
+        let cut: Vec<Vec<LampNodes>> = lighting.lamps.iter().map(cut).collect();
+        let in_sky = match brdf {
+            Some(_) => in_sky(lighting, &cut),
+            None => vec![false; cut.len()],
+        };
+        let lamps = || lighting.lamps.iter().zip(&in_sky);
+        let sky: Vec<&LampNodes> = lamps()
+            .filter_map(|(lamp, is_sky)| is_sky.then_some(lamp))
+            .collect();
         let mut environments: Vec<Cow<'_, Environment>> =
             lighting.environment.iter().map(Cow::Borrowed).collect();
         if !sky.is_empty() {
             environments.push(Cow::Owned(Environment::of_lamps(&sky)));
         }
-        for lamp in &lighting.lamps {
-            if sky.iter().any(|other| std::ptr::eq(*other, lamp)) {
+        for ((lamp, is_sky), patches) in lamps().zip(&cut) {
+            let (parts, role) = if *is_sky {
                 continue;
-            }
-            let patches = patches(lamp, unresolved.max(ONE_RAY));
-            let (parts, role) = if patches.is_empty() {
+            } else if patches.is_empty() {
                 (std::slice::from_ref(lamp), Role::Lamp)
             } else {
                 (&patches[..], Role::Patch)
@@ -470,8 +483,7 @@ impl<'a> Shader<'a> {
             groups.extend(suns.chain(patches).filter_map(group));
         }
         let sky = brdf.filter(|_| !environments.is_empty()).map(|brdf| {
-            let skies = environments.into_iter();
-            let skies = skies.map(|environment| environment.into_owned().sky);
+            let skies = environments.iter().map(|e| e.sky.clone());
             (skies.collect(), DrawnLobe::new(brdf))
         });
         Self {

@@ -199,11 +199,11 @@ pub fn register(
     let gains = agreement.gains();
     let gains = gains.filter(|gains| gains.as_flattened().iter().any(differ));
     let are_even = gains.is_none();
-    if let Some(gains) = gains {
-        if agreement.disagreement_evened_by_others() < MOST_LEFT * agreement.disagreement() {
-            for (correction, gains) in corrections.iter_mut().zip(gains) {
-                *correction = correction.with_gains(gains);
-            }
+    let hold_elsewhere =
+        || agreement.disagreement_evened_by_others() < MOST_LEFT * agreement.disagreement();
+    if let Some(gains) = gains.filter(|_| hold_elsewhere()) {
+        for (correction, gains) in corrections.iter_mut().zip(gains) {
+            *correction = correction.with_gains(gains);
         }
     }
     Registered {
