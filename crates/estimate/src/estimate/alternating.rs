@@ -142,7 +142,7 @@ pub fn solve(
     }
     Ok(Some(Solution {
         brdf: state.brdf,
-        nodes: nodes(solver, &cells, &state.radiance),
+        nodes: solver.nodes(&cells, &state.radiance),
     }))
 }
 
@@ -232,15 +232,6 @@ fn unknowns(pyramid: &Pyramid, evidence: &BTreeMap<Cell, f32>) -> (Vec<Cell>, Ve
     found.into_iter().unzip()
 }
 
-/// Radiances of all nodes in the capture's units.
-fn nodes(solver: &Solver<'_>, cells: &[Cell], radiance: &[[f32; 3]]) -> Vec<[f32; 3]> {
-    let mut nodes = solver.pyramid.to_nodes(cells, radiance);
-    for value in nodes.iter_mut().flatten() {
-        *value *= solver.coarse.scale;
-    }
-    nodes
-}
-
 fn report(
     solver: &Solver<'_>,
     cells: &[Cell],
@@ -259,7 +250,7 @@ fn report(
     go_on(
         watch
             .observer
-            .iteration(&iteration, &|| nodes(solver, cells, &state.radiance)),
+            .iteration(&iteration, &|| solver.nodes(cells, &state.radiance)),
     )
 }
 

@@ -86,10 +86,7 @@ pub fn beside(
 /// of a metal. A metal mirrors all that it shows, and what has a diffuse part shows mostly that: on path-traced captures it was 4.7 and more of
 /// metals, in the dark and in rooms, and below −4.9 of others.
 pub fn against_colours(solver: &Solver<'_>, metal: &State<'_>) -> Result<f64, Stopped> {
-    let mut nodes = solver.pyramid.to_nodes(&metal.cells, &metal.radiance);
-    for value in nodes.iter_mut().flatten() {
-        *value *= solver.coarse.scale;
-    }
+    let mut nodes = solver.nodes(&metal.cells, &metal.radiance);
     let around = AllAround::on_cells_of(solver, ROUGH_FREQUENCY);
     let whole = around.solver(solver);
     nodes.resize(whole.grid.directions.len(), [0.0; 3]);

@@ -802,12 +802,19 @@ impl Solver<'_> {
             residual_rms: state.rms() * scale,
         };
         watch.iterations.push(iteration);
-        go_on(watch.observer.iteration(&iteration, &|| {
-            let mut nodes = self.pyramid.to_nodes(&state.cells, &state.radiance);
-            for value in nodes.iter_mut().flatten() {
-                *value *= scale;
-            }
-            nodes
-        }))
+        go_on(
+            watch
+                .observer
+                .iteration(&iteration, &|| self.nodes(&state.cells, &state.radiance)),
+        )
+    }
+
+    /// Radiance of each node, RGB, in the capture's units, by that of cells in units of the observations' scale.
+    pub fn nodes(&self, cells: &[Cell], radiance: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        let mut nodes = self.pyramid.to_nodes(cells, radiance);
+        for value in nodes.iter_mut().flatten() {
+            *value *= self.coarse.scale;
+        }
+        nodes
     }
 }
