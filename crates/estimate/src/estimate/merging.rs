@@ -252,6 +252,12 @@ struct Shown {
     left: f64,
 }
 
+/// The strength, per channel, at which a light leaves least whose values hold `along` of the residuals and `own` of themselves: none in a
+/// channel that it would have to darken.
+fn strength(along: DVec3, own: DVec3) -> DVec3 {
+    (along / own).max(DVec3::ZERO)
+}
+
 impl<'a> Place<'a> {
     fn new(judge: &'a Judge<'a>, nodes: BTreeSet<u32>, spikes: &Light) -> Self {
         let level = judge.solver.pyramid.finest();
@@ -305,8 +311,9 @@ impl<'a> Place<'a> {
         let own = self
             .dot(&values, &values)
             .max(DVec3::splat(f64::MIN_POSITIVE));
-        let factor = self.dot(&values, &self.residuals) / own;
-        let left = self.squares - factor * factor * own;
+        let along = self.dot(&values, &self.residuals);
+        let factor = strength(along, own);
+        let left = self.squares - factor * (2.0 * along - factor * own);
         Shown {
             values,
             own,
@@ -386,5 +393,17 @@ impl<'a> Place<'a> {
         let right = Col::from_fn(PARAMETERS, |i| self.dot(&columns[i], &left).element_sum());
         let step = gram.llt(Side::Lower).ok()?.solve(&right);
         Some(std::array::from_fn(|k| step[k] as f32))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_light_is_negative_in_a_channel() {
+        // What is left of the blue would best be explained by darkness: as a negative radiance a solution could not be read again.
+        let strength = strength(DVec3::new(6.0, 2.0, -0.1), DVec3::new(2.0, 2.0, 2.0));
+        assert_eq!(strength, DVec3::new(3.0, 1.0, 0.0));
     }
 }
