@@ -11,8 +11,9 @@ use std::sync::atomic::Ordering;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::design::Design;
 use super::fast::Solver;
-use super::observations::Observations;
+use super::observations::{Observations, Point};
 use super::observer::{Stopped, go_on};
 use super::state::{ROUGH, State};
 use super::weights::magnitude;
@@ -194,9 +195,18 @@ impl Solver<'_> {
         if views < FEWEST_VIEWS {
             return Ok(None);
         }
+        let sees = self.coarse_design(&self.coarse).seen;
         let without = |view: usize| {
             let (observations, rows) = self.coarse.without_views(|other| other == view);
-            let design = self.roots_design(&observations, self.near);
+            // All points see what they saw.
+            let point = |of: &Point| {
+                let row = rows[of.rows.start];
+                self.coarse.points.partition_point(|p| p.rows.end <= row)
+            };
+            let design = Design {
+                seen: sees.seen_from(observations.points.iter().map(point)),
+                ..self.design(&observations, &self.roots())
+            };
             let dark = State::new(design, self.roots(), fit.brdf);
             let mut state = dark.lit_at(fit.brdf.sigma);
             self.improve_quietly(&mut state, ROUNDS, ROUGH)?;
