@@ -178,7 +178,7 @@ pub fn left_in(
             price: price * deviation,
             ..ROUGH
         });
-        judged.light_by(&fitted.radiance);
+        judged.light_as(&fitted);
         left_by(&judged, &dark, units, &is_out)
     };
     prices.iter().map(of_price).collect()

@@ -439,7 +439,7 @@ impl<'s> Lit<'s> {
         for (derivative, unit) in by_sigma.iter_mut().zip(&unit) {
             *derivative = [0, 1, 2].map(|c| derivative[c] - imitated[c] as f32 * unit[c]);
         }
-        let residuals = residuals(&self.design, &brdf, &weights, &prediction);
+        let residuals = residuals(&self.design, &brdf, &weights, &prediction.value);
         Lobe {
             brdf,
             scale,

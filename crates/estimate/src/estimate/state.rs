@@ -7,7 +7,7 @@ use faer::{Col, Mat, Side};
 use rayon::prelude::*;
 
 use super::cells::Cell;
-use super::design::{Design, NormalEquations, Prediction};
+use super::design::{Design, NormalEquations};
 use super::weights::{
     Residuals, dark_residuals, eliminate_all, initial_weights, magnitude, residuals,
     robust_objective, robust_weights, weighted_rms,
@@ -81,7 +81,8 @@ pub struct State<'a> {
     pub weights: Vec<f32>,
     /// What the present lights leave over.
     pub residuals: Residuals,
-    prediction: Prediction,
+    /// Specular radiance of each row under the present lights.
+    predicted: Vec<[f32; 3]>,
     /// Cells that may be lit, ascending. Whether the others stay dark is looked at after each solve.
     candidates: Vec<usize>,
     /// The last solve's equations, once there was one.
@@ -123,13 +124,20 @@ impl<'a> State<'a> {
             radiance: vec![[0.0; 3]; cells.len()],
             weights: initial_weights(&design),
             residuals: Residuals::default(),
-            prediction: Prediction::default(),
+            predicted: Vec::new(),
             candidates: (0..cells.len()).collect(),
             system: None,
             design,
             cells,
             brdf,
         }
+    }
+
+    /// Takes the lights of another state of the same rows, cells and lobe, and what they show.
+    pub fn light_as(&mut self, other: &Self) {
+        self.radiance.clone_from(&other.radiance);
+        self.predicted.clone_from(&other.predicted);
+        self.residuals = residuals(&self.design, &self.brdf, &self.weights, &self.predicted);
     }
 
     /// Takes other lights, radiance per cell.
@@ -175,7 +183,7 @@ impl<'a> State<'a> {
 
     /// Specular radiance of a row under the present lights, in units of the observations' scale.
     pub fn specular(&self, row: usize) -> [f32; 3] {
-        self.prediction.value[row]
+        self.predicted[row]
     }
 
     /// The same lights and σ looked at on other points.
@@ -349,8 +357,8 @@ impl<'a> State<'a> {
     }
 
     fn predict(&mut self) {
-        self.prediction = self.design.predict(&self.brdf, &self.radiance);
-        self.residuals = residuals(&self.design, &self.brdf, &self.weights, &self.prediction);
+        self.predicted = self.design.predict_values(&self.brdf, &self.radiance);
+        self.residuals = residuals(&self.design, &self.brdf, &self.weights, &self.predicted);
     }
 
     /// Cells that are no candidates and would come to be lit.
@@ -508,14 +516,15 @@ impl<'a> State<'a> {
         if self.radiance.iter().flatten().all(|&v| v <= 0.0) {
             return UNDETERMINED;
         }
-        let unique = self.unexplained_derivative();
+        let by_sigma = self.design.predict(&self.brdf, &self.radiance).by_sigma;
+        let unique = self.unexplained_part(by_sigma.clone());
         let (mut slope, mut curvature) = (0.0_f64, 0.0_f64);
         let mut pulls = Vec::with_capacity(self.design.observations.points.len());
         for point in &self.design.observations.points {
             let mut own = 0.0_f64;
             for k in point.rows.clone() {
                 let w = f64::from(self.weights[k]);
-                let at_fixed_lights = self.prediction.by_sigma[k];
+                let at_fixed_lights = by_sigma[k];
                 for ((z, r), d) in unique[k]
                     .iter()
                     .zip(self.residuals.values[k])
@@ -612,9 +621,8 @@ impl<'a> State<'a> {
         (lit / same) as f64
     }
 
-    /// ∂A/∂σ L per row, less its weighted projection onto the lit columns and onto each point's diffuse colour.
-    fn unexplained_derivative(&self) -> Vec<[f32; 3]> {
-        let mut unique = self.prediction.by_sigma.clone();
+    /// One RGB value per row, less its weighted projection onto the lit columns and onto each point's diffuse colour.
+    fn unexplained_part(&self, mut unique: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
         self.eliminate(&mut unique);
         let Some(system) = &self.system else {
             return unique;

@@ -14,7 +14,7 @@ use glam::{DVec3, Vec3};
 use super::below::AllAround;
 use super::cells::{Cell, Pyramid};
 use super::course::{Ending, Grounds};
-use super::design::{Design, Prediction};
+use super::design::Design;
 use super::observations::{Observations, Point, Row};
 use super::shading::{Agreement, LightByShading};
 use super::state::{EXACT, State};
@@ -756,9 +756,7 @@ fn a_bound_has_a_say_only_where_it_is_not_met() {
     let under = |specular: f32| {
         let mut value = vec![[0.0; 3]; observations.rows.len()];
         value[2] = [specular; 3];
-        let by_sigma = Vec::new();
-        let prediction = Prediction { value, by_sigma };
-        let left = residuals(&design, &brdf, &weights, &prediction);
+        let left = residuals(&design, &brdf, &weights, &value);
         (left.values[2], robust_weights(&design, &left)[2])
     };
     let (left, weight) = under(0.2);

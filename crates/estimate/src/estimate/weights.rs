@@ -3,7 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::design::{Design, Prediction};
+use super::design::Design;
 use super::observations::{Observations, Point, Row};
 use rekindle_scene::reflectance::Brdf;
 
@@ -58,14 +58,14 @@ pub fn initial_weights(design: &Design<'_>) -> Vec<f32> {
     rows.iter().map(of).collect()
 }
 
-/// Residuals of a prediction under the weights that eliminate the diffuse colours.
+/// Residuals of predicted specular radiance, one RGB value per row, under the weights that eliminate the diffuse colours.
 pub fn residuals(
     design: &Design<'_>,
     brdf: &Brdf,
     weights: &[f32],
-    prediction: &Prediction,
+    predicted: &[[f32; 3]],
 ) -> Residuals {
-    let mut values = prediction.value.clone();
+    let mut values = predicted.to_vec();
     let rows = &design.observations.rows;
     for point in &design.observations.points {
         for k in point.rows.clone() {
@@ -86,10 +86,7 @@ pub fn residuals(
 
 /// What the rows of a design show without any light.
 pub fn dark_residuals(design: &Design<'_>, brdf: &Brdf, weights: &[f32]) -> Residuals {
-    let none = Prediction {
-        value: vec![[0.0; 3]; design.observations.rows.len()],
-        by_sigma: Vec::new(),
-    };
+    let none = vec![[0.0; 3]; design.observations.rows.len()];
     residuals(design, brdf, weights, &none)
 }
 
@@ -246,12 +243,12 @@ pub fn robust_weights(design: &Design<'_>, residuals: &Residuals) -> Vec<f32> {
 
 /// Huber weights about the mean squared residual, of which the second value is, in place of the median: where the model is
 /// wrong for most highlights, the median is of the rows without any and takes all highlights for outliers.
-pub fn mean_weights(design: &Design<'_>, brdf: &Brdf, prediction: &Prediction) -> (Vec<f32>, f64) {
+pub fn mean_weights(design: &Design<'_>, brdf: &Brdf, predicted: &[[f32; 3]]) -> (Vec<f32>, f64) {
     const ROUNDS: usize = 3;
     let mut weights = initial_weights(design);
     let mut noise = 0.0;
     for _ in 0..ROUNDS {
-        let left = residuals(design, brdf, &weights, prediction);
+        let left = residuals(design, brdf, &weights, predicted);
         noise = weighted_rms(&weights, &left);
         weights = robust_weights(design, &Residuals { noise, ..left });
     }

@@ -121,8 +121,8 @@ impl LinearRows {
         mut by_lamps: Vec<Vec<[f32; 3]>>,
     ) -> Self {
         let prediction = design.predict(brdf, radiance);
-        let (weights, variance) = mean_weights(design, brdf, &prediction);
-        let left = residuals(design, brdf, &weights, &prediction).values;
+        let (weights, variance) = mean_weights(design, brdf, &prediction.value);
+        let left = residuals(design, brdf, &weights, &prediction.value).values;
         let mut by_tilt = [false, true].map(|second| {
             central_difference(|angle| {
                 let observations = &tilted(design.observations, second, angle);
