@@ -11,7 +11,7 @@ use rekindle_relight::{Interreflection, Scene, Shader, Surroundings};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 
 /// Directions about the normal in which the rays of a place are cast.
-const TURNS: usize = 4;
+const TURNS: usize = 2;
 
 /// A second estimate of a metal, from what comes straight from the lights, where that leaves no more unexplained than the first.
 /// Whatever else reflects mirrors too little of itself to change anything. `input` has the surface that the first one holds for.
