@@ -167,6 +167,8 @@ pub fn left_in(
     let mut fitted = State::new(design.clone(), cells.to_vec(), brdf);
     fitted.silence(tells);
     fitted.light_by(&lights_of_some(design, cells, brdf, &is_out));
+    // Light has its price: where some of the points see none without, all see none with it.
+    fitted.keep_to_lit();
     fitted.reweight();
     fitted.silence(tells);
     let deviation = f64::from(fitted.rms());
@@ -174,7 +176,7 @@ pub fn left_in(
     judged.silence(tells);
     let dark = judged.dark_residuals();
     let of_price = |price: &f64| {
-        fitted.solve_lights(Precision {
+        fitted.solve_kept(Precision {
             price: price * deviation,
             ..ROUGH
         });

@@ -222,6 +222,16 @@ impl<'a> State<'a> {
         self.candidates = self.around(&self.lit());
     }
 
+    /// From now on only the cells that are lit and those beside them may be, where [`State::solve_kept`] is asked.
+    pub fn keep_to_lit(&mut self) {
+        self.candidates = self.around(&self.lit());
+    }
+
+    /// [`State::solve_lights`] over the cells that were kept.
+    pub fn solve_kept(&mut self, precision: Precision) {
+        self.solve_candidates(precision);
+    }
+
     /// [`State::solve_lights`] over the cells that are lit and those beside them, which are few, as long as others stay dark.
     pub fn solve_lit(&mut self, precision: Precision) {
         if !self.design.shortcuts.takes(Shortcut::FarCells) {
