@@ -167,7 +167,7 @@ pub fn left_in(
     let mut fitted = State::new(design.clone(), cells.to_vec(), brdf);
     fitted.silence(tells);
     fitted.light_by(&lights_of_some(design, cells, brdf, &is_out));
-    // Light has its price: where some of the points see none without, all see none with it.
+    // At a price there is less light than those have found without any.
     fitted.keep_to_lit();
     fitted.reweight();
     fitted.silence(tells);

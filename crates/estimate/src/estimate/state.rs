@@ -137,7 +137,7 @@ impl<'a> State<'a> {
     pub fn light_as(&mut self, other: &Self) {
         self.radiance.clone_from(&other.radiance);
         self.predicted.clone_from(&other.predicted);
-        self.residuals = residuals(&self.design, &self.brdf, &self.weights, &self.predicted);
+        self.leave();
     }
 
     /// Takes other lights, radiance per cell.
@@ -224,7 +224,9 @@ impl<'a> State<'a> {
 
     /// From now on only the cells that are lit and those beside them may be, where [`State::solve_kept`] is asked.
     pub fn keep_to_lit(&mut self) {
-        self.candidates = self.around(&self.lit());
+        if self.design.shortcuts.takes(Shortcut::FarCells) {
+            self.candidates = self.around(&self.lit());
+        }
     }
 
     /// [`State::solve_lights`] over the cells that were kept.
@@ -368,6 +370,11 @@ impl<'a> State<'a> {
 
     fn predict(&mut self) {
         self.predicted = self.design.predict_values(&self.brdf, &self.radiance);
+        self.leave();
+    }
+
+    /// Takes residuals from what the present lights show.
+    fn leave(&mut self) {
         self.residuals = residuals(&self.design, &self.brdf, &self.weights, &self.predicted);
     }
 

@@ -82,17 +82,17 @@ pub fn smoothed(
     let mut tried: Vec<Smoothed> = Vec::new();
     let mut least = f64::INFINITY;
     let mut simpler: Option<(usize, Smoothing, f64)> = None;
-    // Each one is made of that before it.
-    let mut simple: Option<Mesh> = None;
+    // Each simpler mesh is made of that before it.
+    let mut last: Option<Mesh> = None;
     for some in SMOOTHINGS.chunks(AT_ONCE) {
         go_on(watch.observer.progress("smoothing the surface", 0.3))?;
         let (coarser, _) = some[0];
         let known = simpler.take().filter(|(times, ..)| *times == coarser);
         let Some((_, mesh, spacing)) = known.or_else(|| {
             let triangles = largest.min(MOST_TRIANGLES) / coarser;
-            let mesh = simplified(simple.as_ref().unwrap_or(solver.seen.mesh), triangles);
+            let mesh = simplified(last.as_ref().unwrap_or(solver.seen.mesh), triangles);
             let level = Some((coarser, Smoothing::new(&mesh)?, spacing(&mesh)));
-            simple = Some(mesh);
+            last = Some(mesh);
             level
         }) else {
             continue;
