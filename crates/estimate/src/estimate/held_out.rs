@@ -176,7 +176,7 @@ pub fn left_in(
     judged.silence(tells);
     let dark = judged.dark_residuals();
     let of_price = |price: &f64| {
-        fitted.solve_kept(Precision {
+        fitted.solve_candidates(Precision {
             price: price * deviation,
             ..ROUGH
         });

@@ -222,16 +222,11 @@ impl<'a> State<'a> {
         self.candidates = self.around(&self.lit());
     }
 
-    /// From now on only the cells that are lit and those beside them may be, where [`State::solve_kept`] is asked.
+    /// Takes the cells that are lit and those beside them alone as candidates, until lights are sought on others again.
     pub fn keep_to_lit(&mut self) {
         if self.design.shortcuts.takes(Shortcut::FarCells) {
             self.candidates = self.around(&self.lit());
         }
-    }
-
-    /// [`State::solve_lights`] over the cells that were kept.
-    pub fn solve_kept(&mut self, precision: Precision) {
-        self.solve_candidates(precision);
     }
 
     /// [`State::solve_lights`] over the cells that are lit and those beside them, which are few, as long as others stay dark.
@@ -279,7 +274,7 @@ impl<'a> State<'a> {
     }
 
     /// Minimises over the lights of the candidates; the other cells are dark.
-    fn solve_candidates(&mut self, precision: Precision) {
+    pub fn solve_candidates(&mut self, precision: Precision) {
         let system = self.take_system(precision);
         let equations = &system.equations;
         self.radiance = self.fitted(equations, &self.candidates, &self.radiance, precision);
