@@ -88,6 +88,11 @@ def material(scene, here):
         levels.image = image(here / gloss["file"], linear_space())
         channels = nodes.new("ShaderNodeSeparateColor")
         links.new(levels.outputs["Color"], channels.inputs[0])
+    tint = None
+    if gloss and gloss["colour"]:
+        # Parts reflect in different colours, as metals do beside plastic.
+        tint = nodes.new("ShaderNodeTexImage")
+        tint.image = image(here / gloss["colour"], linear_space())
     f0, ior = (gloss or stated)["f0"], (gloss or stated)["ior"]
 
     def times_level(target, factor):
@@ -111,6 +116,8 @@ def material(scene, here):
             links.new(channels.outputs[0], shader.inputs["Roughness"])
             # At 0.5 the surface reflects what its index of refraction says.
             times_level(shader.inputs["Specular IOR Level"], 0.5)
+        if tint:
+            links.new(tint.outputs["Color"], shader.inputs["Specular Tint"])
         if stated["specular"] is None:
             shader.inputs["Specular IOR Level"].default_value = 0.0
     else:
@@ -126,6 +133,8 @@ def material(scene, here):
             shader.inputs["Fac"].default_value = f0
             if gloss:
                 links.new(channels.outputs[0], glossy.inputs["Roughness"])
+                if tint:
+                    links.new(tint.outputs["Color"], glossy.inputs["Color"])
                 times_level(shader.inputs["Fac"], f0)
             links.new(diffuse.outputs[0], shader.inputs[1])
             links.new(glossy.outputs[0], shader.inputs[2])

@@ -41,6 +41,16 @@ fn fresnel(c: f32) -> f32 {
     return 0.5 * a * a * (1.0 + b * b);
 }
 
+/// Fresnel factor on facets, 1 at normal incidence: what reflects more there than a usual dielectric rises less.
+fn fresnel_factor(brdf: Brdf, c: f32) -> f32 {
+    if (brdf.model == METAL) {
+        return 1.0;
+    }
+    let reflected = min(max(brdf.strength, 1.0) * NORMAL_FRESNEL, 1.0);
+    let rise = (1.0 - reflected) / reflected * (NORMAL_FRESNEL / (1.0 - NORMAL_FRESNEL));
+    return mix(1.0, fresnel(c) / NORMAL_FRESNEL, rise);
+}
+
 /// Smith's masking for slopes of width √2 σ.
 fn masking(brdf: Brdf, c: f32) -> f32 {
     let sigma = brdf.sigma;
@@ -162,7 +172,6 @@ fn lobe(brdf: Brdf, terms: ViewTerms, light: vec3f, spread: f32) -> f32 {
     if (brdf.model == PAPER) {
         return strength * density;
     }
-    let fresnel_factor = select(fresnel(0.5 / inverse_length) / NORMAL_FRESNEL, 1.0, brdf.model == METAL);
-    return strength * density * fresnel_factor * masking(brdf, max(cos_light, 1e-4))
+    return strength * density * fresnel_factor(brdf, 0.5 / inverse_length) * masking(brdf, max(cos_light, 1e-4))
         / (cos_squared * cos_squared);
 }

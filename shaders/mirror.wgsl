@@ -98,7 +98,8 @@ fn lobe_half_vector(i: u32, count: u32, brdf: Brdf) -> vec3f {
 
 /// What facets seen at the cosine `c` pass on, without masking; a metal's without its colour.
 fn facet_fresnel(brdf: Brdf, c: f32) -> f32 {
-    return min(brdf.strength * select(fresnel(c), USUAL_METAL, brdf.model == METAL), 1.0);
+    let usual = select(NORMAL_FRESNEL, USUAL_METAL, brdf.model == METAL);
+    return min(brdf.strength * usual * fresnel_factor(brdf, c), 1.0);
 }
 
 /// A ray and the part of what it meets that is seen: weighted as the facets that the viewer sees, times

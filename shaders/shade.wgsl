@@ -320,7 +320,8 @@ fn mirrored_surface(brdf: Brdf, ray: MirrorRay, hit: Hit) -> vec3f {
     if (frame.model == METAL) {
         // The ray stands for all in its half vector's extent: a lobe as much wider shows no sparks.
         var gloss = gloss_at(there.uv);
-        gloss.x = min(length(vec2f(gloss.x, ray.extent * brdf.sigma / frame.sigma)), 1.0 / frame.sigma);
+        let wider = length(vec2f(gloss.roughness, ray.extent * brdf.sigma / frame.sigma));
+        gloss.roughness = min(wider, 1.0 / frame.sigma);
         radiance += lit(triangles[hit.triangle], hit.weights, there, gloss, -ray.direction).specular;
         radiance += sky_in_mirror(triangles[hit.triangle], hit.weights, there, gloss, -ray.direction);
     }
@@ -328,22 +329,22 @@ fn mirrored_surface(brdf: Brdf, ray: MirrorRay, hit: Hit) -> vec3f {
 }
 
 /// What a point that is seen in a mirror shows of the sky, by the middle of its lobe; it is hidden as much as the whole sky.
-fn sky_in_mirror(triangle: Triangle, weights: vec3f, surface: Surface, gloss: vec2f, view: vec3f) -> vec3f {
+fn sky_in_mirror(triangle: Triangle, weights: vec3f, surface: Surface, gloss: Gloss, view: vec3f) -> vec3f {
     if (!has_sky()) {
         return vec3f(0.0);
     }
-    let brdf = Brdf(frame.model, frame.sigma * gloss.x, frame.strength * gloss.y);
+    let brdf = Brdf(frame.model, frame.sigma * gloss.roughness, frame.strength * gloss.strength);
     let ray = middle_ray(brdf, surface.normal, view);
     let open = vertices[triangle.corners.x].openness * weights.x + vertices[triangle.corners.y].openness * weights.y
         + vertices[triangle.corners.z].openness * weights.z;
     let seen = select(0.0, open, dot(ray.direction, surface.face_normal) > 0.0);
-    return sky_radiance(ray.direction, ray.sky_spread) * (ray.sky_weight * lobe_height(brdf) * seen);
+    return sky_radiance(ray.direction, ray.sky_spread) * (ray.sky_weight * lobe_height(brdf) * seen * gloss.tint);
 }
 
 /// What light that comes straight from the lamps makes of a point, seen from the unit direction `view`.
-fn lit(triangle: Triangle, weights: vec3f, surface: Surface, gloss: vec2f, view: vec3f) -> Shade {
+fn lit(triangle: Triangle, weights: vec3f, surface: Surface, gloss: Gloss, view: vec3f) -> Shade {
     read_visibility(triangle, weights, surface);
-    let brdf = Brdf(frame.model, frame.sigma * gloss.x, frame.strength * gloss.y);
+    let brdf = Brdf(frame.model, frame.sigma * gloss.roughness, frame.strength * gloss.strength);
     let terms = view_terms(brdf, surface.normal, view);
     var sum = add_lobes(surface, brdf, terms, frame.always, 1.0);
     if (frame.window.y > frame.window.x) {
@@ -351,7 +352,7 @@ fn lit(triangle: Triangle, weights: vec3f, surface: Surface, gloss: vec2f, view:
         sum.specular += more.specular;
         sum.irradiance += more.irradiance;
     }
-    sum.specular *= lobe_height(brdf);
+    sum.specular *= lobe_height(brdf) * gloss.tint;
     return sum;
 }
 
@@ -383,18 +384,30 @@ fn shown_visibility() -> f32 {
     return lamp_words[at / 4u][at % 4u];
 }
 
-/// Roughness and strength as multiples of the main lobe's; between texels roughness is weighted by strength.
-fn gloss_at(uv: vec2f) -> vec2f {
-    let stored = textureSampleLevel(gloss_texture, linear_sampler, uv, 0.0).rg;
-    return vec2f(LEAST_GLOSS_ROUGHNESS * exp(stored.x / max(stored.y, 1e-6)), stored.y);
+/// How the lobe of a place differs from the main one.
+struct Gloss {
+    /// Roughness and strength as multiples of the main lobe's.
+    roughness: f32,
+    strength: f32,
+    /// Colour of what it reflects beside the main lobe, of mean 1.
+    tint: vec3f,
+}
+
+/// The gloss of a place; between texels roughness is weighted by strength. The texture has the strength in each channel.
+fn gloss_at(uv: vec2f) -> Gloss {
+    let stored = textureSampleLevel(gloss_texture, linear_sampler, uv, 0.0);
+    let strength = dot(stored.rgb, vec3f(1.0 / 3.0));
+    let divisor = max(strength, 1e-6);
+    let tint = select(vec3f(1.0), stored.rgb / divisor, strength > 0.0);
+    return Gloss(LEAST_GLOSS_ROUGHNESS * exp(stored.a / divisor), strength, tint);
 }
 
 /// √α of the lobe, as other programs call roughness; 1 where nothing is reflected.
-fn shown_roughness(gloss: vec2f) -> f32 {
-    if (frame.model == NO_LOBE || gloss.y <= 0.0) {
+fn shown_roughness(gloss: Gloss) -> f32 {
+    if (frame.model == NO_LOBE || gloss.strength <= 0.0) {
         return 1.0;
     }
-    return sqrt(min(sqrt(2.0) * frame.sigma * gloss.x, 1.0));
+    return sqrt(min(sqrt(2.0) * frame.sigma * gloss.roughness, 1.0));
 }
 
 /// The picture's value at a visible point.
@@ -416,13 +429,13 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
         return vec3f(shown_roughness(gloss));
     }
     if (frame.mode == STRENGTH) {
-        return vec3f(select(gloss.y / max(frame.strongest, 1e-6), 0.0, frame.model == NO_LOBE));
+        return vec3f(select(gloss.strength / max(frame.strongest, 1e-6), 0.0, frame.model == NO_LOBE));
     }
     if (frame.mode == SHADOW) {
         read_visibility(triangle, weights, surface);
         return vec3f(shown_visibility());
     }
-    let brdf = Brdf(frame.model, frame.sigma * gloss.x, frame.strength * gloss.y);
+    let brdf = Brdf(frame.model, frame.sigma * gloss.roughness, frame.strength * gloss.strength);
     let view = normalize(eye() - surface.position);
     var sum = lit(triangle, weights, surface, gloss, view);
     let baked = textureSampleLevel(irradiance_texture, linear_sampler, surface.light_uv, 0.0).rgb;
@@ -431,7 +444,7 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
         return min(irradiance, vec3f(LARGEST));
     }
     if (frame.mode != DIFFUSE) {
-        sum.specular += mirrored(brdf, triangle, surface, view);
+        sum.specular += mirrored(brdf, triangle, surface, view) * gloss.tint;
     }
     let through = diffuse_exit(brdf, dot(surface.normal, view));
     let diffuse = select(albedo * irradiance, stored.rgb, (frame.flags & STORED) != 0u) * through;

@@ -43,8 +43,7 @@ fn drawn_reflectance(brdf: Brdf, tangent: f32, cos_light: f32, cos_between: f32)
         let exponent = (tangent * tangent - angle * angle) / (2.0 * brdf.sigma * brdf.sigma);
         return exp(exponent) * cos_squared * cos_squared;
     }
-    let passes = masking(brdf, max(cos_light, 1e-4));
-    return passes * select(fresnel(cos_between) / NORMAL_FRESNEL, 1.0, brdf.model == METAL);
+    return masking(brdf, max(cos_light, 1e-4)) * fresnel_factor(brdf, cos_between);
 }
 
 /// Standard deviation along each axis, radians, of the light that one of `count` half vectors of the slope `tangent` stands for, of

@@ -76,10 +76,19 @@ pub fn separate(
         );
     }
     let places = Places::new(scene.mesh);
-    let mut lit = lit_places((scene, atlas), &places, texture, (&irradiance, &direct));
+    let confidence = &texture.confidence;
+    let lit_by = |weight: &(dyn Fn(usize) -> f32 + Sync)| {
+        let lit = (&irradiance[..], &direct[..]);
+        lit_places((scene, atlas), &places, (&texture.radiance, weight), lit)
+    };
+    let mut lit = lit_by(&|t| confidence[t]);
     let ambient = match ambient {
         Ambient::Sought => {
-            let added = ambient_beside((scene, atlas), &places, texture, (&irradiance, &lit));
+            // Metals have no diffuse part that could show any.
+            let shows = |t| f32::from(!scene.is_metal(t)) * confidence[t];
+            let shown = scene.has_metals().then(|| lit_by(&shows));
+            let shown = shown.as_ref().unwrap_or(&lit);
+            let added = ambient_beside((scene, atlas), &places, texture, (&irradiance, shown));
             for texel in &atlas.texels {
                 irradiance[texel.index as usize] += added;
             }
@@ -252,17 +261,16 @@ fn quotient(radiance: Vec3, irradiance: Vec3) -> Vec3 {
     Vec3::select(dim, Vec3::splat(others), quotient)
 }
 
-/// What the texture and its irradiance are in the mean around each place.
+/// What radiance and irradiance of texels of some weights are in the mean around each place.
 fn lit_places(
     (scene, atlas): (&Scene, &Atlas),
     places: &Places,
-    texture: &DiffuseTexture,
+    (radiance, weight): (&[[f32; 3]], &(dyn Fn(usize) -> f32 + Sync)),
     (irradiance, direct): (&[Vec3], &[f32]),
 ) -> Vec<Option<Lit>> {
-    let weight = |t: usize| texture.confidence[t];
     let all = |t: usize| {
         let direct = Vec3::splat(direct[t]);
-        [texture.radiance[t].into(), irradiance[t], direct]
+        [radiance[t].into(), irradiance[t], direct]
     };
     let lit = |(means, area): (Option<[Vec3; 3]>, f32)| {
         let [radiance, irradiance, direct] = means?;

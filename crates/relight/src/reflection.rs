@@ -17,7 +17,7 @@ use super::render::Scene;
 use super::shading::{Shader, ShadingPoint};
 use rekindle_base::math::GOLDEN_ANGLE;
 use rekindle_capture::Mesh;
-use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::reflectance::{Brdf, Gloss};
 use rekindle_scene::surface::Atlas;
 
 /// Half vectors of a dielectric's lobe, as on the device, and of a metal's, which mirrors highlights.
@@ -315,13 +315,15 @@ impl<'a> Surroundings<'a> {
         }
         let point = scene.point(triangle, barycentric);
         let cos_view = point.normal.dot(view);
-        let part = self.reflectance(cos_view) * point.gloss.strength;
+        let part = self.reflectance(point.gloss, cos_view);
         part * self.mirrored(scene, shader, &point, (view, number))
     }
 
-    /// R, the part of B̄ that is seen at the cosine `cos` between normal and view.
-    pub(super) fn reflectance(&self, cos: f32) -> f32 {
-        self.interreflection.lobe.reflectance(cos)
+    /// R, the part of B̄ that is seen at the cosine `cos` between normal and view where the surface has this gloss, RGB.
+    pub(super) fn reflectance(&self, gloss: Gloss, cos: f32) -> Vec3 {
+        let lobe = &self.interreflection.lobe;
+        let rise = lobe.brdf.at(gloss).rise();
+        gloss.scale() * (rise * lobe.reflectance(cos) + (1.0 - rise) * lobe.reflectance(1.0))
     }
 }
 
@@ -405,7 +407,7 @@ mod tests {
         let surroundings = Surroundings::new(&around, None, None);
         let point = ShadingPoint::smooth(Vec3::new(0.4, 0.0, 1.0), Vec3::Y);
         let twice = surroundings.mirrored(&scene, &shader, &point, (view, 0))
-            * surroundings.reflectance(view.y);
+            * surroundings.reflectance(Gloss::MAIN, view.y);
         // One plate alone, turned so that it shows the middle of the light.
         let facing =
             ShadingPoint::smooth(Vec3::new(0.0, 0.0, 0.0), (view + light).normalize_or_zero());

@@ -67,6 +67,20 @@ impl Scene<'_> {
         })
     }
 
+    /// Whether parts of the surface are metals, or all of it.
+    pub(super) fn has_metals(&self) -> bool {
+        let strongest = self.gloss.map_or(1.0, |map| map.texture.strongest());
+        (self.brdf).is_some_and(|brdf| brdf.at(Gloss::new(1.0, strongest)).is_metal())
+    }
+
+    /// Whether the surface is a metal at a texel.
+    pub(super) fn is_metal(&self, texel: usize) -> bool {
+        let gloss = self
+            .gloss
+            .map_or(Gloss::MAIN, |map| map.texture.texels()[texel]);
+        self.brdf.is_some_and(|brdf| brdf.at(gloss).is_metal())
+    }
+
     /// How much of the diffusely reflected light passes the surface where it has this gloss, towards a viewer at the cosine
     /// `cos`, as a ratio to normal exitance.
     pub fn diffuse_exit(&self, gloss: Gloss, cos: f32) -> f32 {
@@ -496,7 +510,7 @@ impl Tile<'_> {
             self.cast_mirrored(&piece.point, 0)
         };
         let cos_view = piece.point.normal.dot(self.view(&piece.point));
-        mirrored * (surroundings.reflectance(cos_view) * piece.point.gloss.strength)
+        mirrored * surroundings.reflectance(piece.point.gloss, cos_view)
     }
 
     /// What a piece mirrors of an environment's sky.

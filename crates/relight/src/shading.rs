@@ -844,7 +844,7 @@ impl<'a> Shader<'a> {
                 });
             }
         }
-        specular * point.gloss.height()
+        specular * point.gloss.peak()
     }
 
     /// Whether lobes may show the sky of an environment.
@@ -882,7 +882,7 @@ impl<'a> Shader<'a> {
                 specular += arriving;
             }
         });
-        specular * point.gloss.height()
+        specular * point.gloss.peak()
     }
 
     /// The same by the middle of the lobe alone, for what is seen in a mirror.
@@ -904,7 +904,7 @@ impl<'a> Shader<'a> {
         // Mirroring turns by twice the half vector's angle along the plane of view and normal, and by less across.
         let spread = 2.0 * brdf.sigma * cos.sqrt();
         let reflected = brdf.drawn_scale(cos) * brdf.drawn_reflectance(0.0, cos, cos);
-        of_skies(skies, light, spread) * (reflected * point.gloss.height())
+        of_skies(skies, light, spread) * (reflected * point.gloss.peak())
     }
 
     /// Irradiance at a point, given its visibilities.

@@ -283,17 +283,16 @@ impl Surface {
     /// Copies the gloss of all texels to the device.
     fn upload_gloss(&self, gpu: &Gpu, size: [u32; 2]) -> wgpu::TextureView {
         // So that what lies between texels is [`Gloss::mean`]. Textures hold nothing negative.
-        let of = |gloss: &Gloss| {
-            let log = (gloss.roughness / LEAST_GLOSS_ROUGHNESS).ln().max(0.0);
-            [log * gloss.strength, gloss.strength, 0.0]
+        let main = [Gloss::MAIN];
+        let (size, glosses) = match &self.solution.gloss {
+            Some(gloss) => (size, gloss.texels()),
+            None => ([1, 1], &main[..]),
         };
-        match &self.solution.gloss {
-            Some(gloss) => {
-                let texels: Vec<[f32; 3]> = gloss.texels().iter().map(of).collect();
-                upload_texture(gpu, "gloss", size, &texels, 1.0, &|_| 1.0)
-            }
-            None => upload_texture(gpu, "gloss", [1, 1], &[of(&Gloss::MAIN)], 1.0, &|_| 1.0),
-        }
+        let scales: Vec<[f32; 3]> = glosses.iter().map(|g| g.scale().to_array()).collect();
+        upload_texture(gpu, "gloss", size, &scales, 1.0, &|k| {
+            let log = (glosses[k].roughness / LEAST_GLOSS_ROUGHNESS).ln();
+            log.max(0.0) * glosses[k].strength
+        })
     }
 
     /// The hierarchy of the triangles, if the surface mirrors what is around it.

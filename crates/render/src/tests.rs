@@ -302,15 +302,12 @@ fn settled_pictures_are_the_reference_renderers() {
     }
 }
 
-/// Patches of three roughnesses and strengths over the surface.
+/// Patches of three roughnesses and strengths over the surface, one of them of another colour.
 fn patched(brdf: Brdf) -> Solution {
     let mut solution = solved(Some(brdf), None);
     let atlas = &solution.atlas;
-    let gloss = |roughness, strength| Gloss {
-        roughness,
-        strength,
-    };
-    let parts = [gloss(0.5, 1.3), gloss(1.0, 0.0), gloss(1.5, 0.8)];
+    let coloured = Gloss::new(0.5, 1.3).reflecting(Vec3::new(1.9, 1.3, 0.7));
+    let parts = [coloured, Gloss::new(1.0, 0.0), Gloss::new(1.5, 0.8)];
     let mut texels = vec![Gloss::MAIN; atlas.len()];
     for t in &atlas.texels {
         let height = solution.mesh.point(t.triangle, t.barycentric).position.y;

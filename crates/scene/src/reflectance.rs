@@ -63,6 +63,9 @@ pub struct Gloss {
     pub roughness: f32,
     /// Specularly reflected part of uniform light at normal incidence, as a multiple of the main lobe's; none where it is 0.
     pub strength: f32,
+    /// Colour of what it reflects beside the main lobe, RGB of mean 1: a metal's beside a dielectric.
+    #[serde(default = "Gloss::white", skip_serializing_if = "Gloss::is_white")]
+    pub tint: [f32; 3],
 }
 
 impl Gloss {
@@ -70,26 +73,69 @@ impl Gloss {
     pub const MAIN: Self = Self {
         roughness: 1.0,
         strength: 1.0,
+        tint: [1.0; 3],
     };
 
-    /// Weighted mean of some: of the strengths, and of the roughnesses' logarithms weighted by strength too.
+    /// A gloss without a colour of its own.
+    pub const fn new(roughness: f32, strength: f32) -> Self {
+        Self {
+            roughness,
+            strength,
+            tint: [1.0; 3],
+        }
+    }
+
+    /// The same lobe that reflects so much of each channel, as a multiple of what the main one does.
+    #[must_use]
+    pub fn reflecting(self, scale: Vec3) -> Self {
+        if scale == Vec3::splat(scale.x) {
+            return Self::new(self.roughness, scale.x);
+        }
+        let strength = scale.element_sum() / 3.0;
+        Self {
+            strength,
+            tint: (scale / strength).to_array(),
+            ..self
+        }
+    }
+
+    /// The same where another one becomes the main one.
+    #[must_use]
+    pub fn beside(self, main: Self) -> Self {
+        let colour = Vec3::from(self.tint) / Vec3::from(main.tint);
+        let mean = colour.element_sum() / 3.0;
+        Self {
+            roughness: self.roughness / main.roughness,
+            strength: self.strength / main.strength * mean,
+            tint: (colour / mean).to_array(),
+        }
+    }
+
+    /// The strength in each channel.
+    pub fn scale(self) -> Vec3 {
+        self.strength * Vec3::from(self.tint)
+    }
+
+    /// Weighted mean of some: of the strengths in each channel, and of the roughnesses' logarithms weighted by strength too.
     pub fn mean(glosses: impl IntoIterator<Item = (Self, f32)>) -> Self {
         let (mut weights, mut strength, mut log_roughness) = (0.0, 0.0, 0.0);
+        let mut scale = Vec3::ZERO;
         for (gloss, weight) in glosses {
             weights += weight;
             strength += weight * gloss.strength;
+            scale += weight * gloss.scale();
             log_roughness += weight * gloss.strength * gloss.roughness.ln();
         }
         if weights <= 0.0 {
             return Self::MAIN;
         }
+        if strength <= 0.0 {
+            return Self::new(1.0, 0.0);
+        }
         Self {
-            roughness: if strength > 0.0 {
-                (log_roughness / strength).exp()
-            } else {
-                1.0
-            },
+            roughness: (log_roughness / strength).exp(),
             strength: strength / weights,
+            tint: (scale / strength).to_array(),
         }
     }
 
@@ -113,10 +159,25 @@ impl Gloss {
         nearest.unwrap_or(0)
     }
 
-    /// Peak of the lobe as a multiple of the main one's: a lobe of the same strength is lower the wider it is.
+    /// Peak of the lobe as a multiple of the main one's, the mean of the channels: a lobe of the same strength is lower the wider it is.
     #[inline(always)]
     pub fn height(self) -> f32 {
         self.strength / (self.roughness * self.roughness)
+    }
+
+    /// The same in each channel.
+    #[inline(always)]
+    pub fn peak(self) -> Vec3 {
+        self.height() * Vec3::from(self.tint)
+    }
+
+    /// Whether a tint is none.
+    pub fn is_white(tint: &[f32; 3]) -> bool {
+        *tint == Self::white()
+    }
+
+    const fn white() -> [f32; 3] {
+        [1.0; 3]
     }
 }
 
@@ -137,6 +198,8 @@ pub struct ViewTerms {
     /// n·v.
     cos_normal: f32,
     cos_view: f32,
+    /// See [`Brdf::rise`].
+    rise: f32,
     /// Masking towards the viewer over cos θ_r.
     scale: f32,
     /// ∂ ln(scale)/∂σ.
@@ -187,6 +250,12 @@ impl Brdf {
         }
     }
 
+    /// Whether it is a metal's, which has no diffuse part to speak of: it reflects more than a dielectric can.
+    pub fn is_metal(&self) -> bool {
+        self.model == SpecularModel::Metal
+            || self.model.is_dielectric() && self.strength > MOST_OF_DIELECTRIC
+    }
+
     /// The terms of a lobe seen from the unit direction `view` on a surface with the unit `normal`.
     pub fn view_terms(&self, normal: Vec3, view: Vec3) -> ViewTerms {
         let cos_normal = normal.dot(view);
@@ -197,9 +266,27 @@ impl Brdf {
             view,
             cos_normal,
             cos_view,
+            rise: self.rise(),
             scale: masking.value / cos_view,
             log_scale_by_sigma: masking.by_sigma / masking.value,
         }
+    }
+
+    /// How much the Fresnel factor rises towards grazing angles, as a part of what a usual dielectric's does: whatever is reflected at
+    /// normal incidence, all is at the last, so the factor, which is 1 there, rises by (1 − F₀)/F₀. One for weaker surfaces too.
+    #[inline(always)]
+    pub fn rise(&self) -> f32 {
+        if !self.model.is_dielectric() || self.strength <= 1.0 {
+            return 1.0;
+        }
+        let reflected = (self.strength * NORMAL_FRESNEL).min(1.0);
+        (1.0 - reflected) / reflected * (NORMAL_FRESNEL / (1.0 - NORMAL_FRESNEL))
+    }
+
+    /// Fresnel factor at the cosine `cos` of incidence on facets, 1 at normal incidence.
+    #[inline(always)]
+    fn fresnel_factor(&self, cos: f32) -> f32 {
+        risen(self.rise(), fresnel(cos) * INVERSE_NORMAL_FRESNEL)
     }
 
     /// The lobe for light from the unit direction `light`: zero where the light is behind the surface.
@@ -288,7 +375,9 @@ impl Brdf {
         }
         let fresnel_factor = match self.model {
             SpecularModel::Paper => return 0.0,
-            SpecularModel::Beckmann | SpecularModel::Ggx => fresnel(cos_between),
+            SpecularModel::Beckmann | SpecularModel::Ggx => {
+                self.fresnel_factor(cos_between) * NORMAL_FRESNEL
+            }
             SpecularModel::Metal => USUAL_METAL,
         };
         let masking = self.model.masking(cos_light, self.sigma).value;
@@ -333,7 +422,7 @@ impl Brdf {
             }
             SpecularModel::Metal => masking,
             SpecularModel::Beckmann | SpecularModel::Ggx => {
-                fresnel(cos_between) * INVERSE_NORMAL_FRESNEL * masking
+                self.fresnel_factor(cos_between) * masking
             }
         }
     }
@@ -463,7 +552,7 @@ impl ViewTerms {
                 let inverse_cos_squared = 1.0 / (cos_half * cos_half);
                 let fresnel = match model {
                     SpecularModel::Metal => 1.0,
-                    _ => fresnel(0.5 * length) * INVERSE_NORMAL_FRESNEL,
+                    _ => risen(self.rise, fresnel(0.5 * length) * INVERSE_NORMAL_FRESNEL),
                 };
                 Facets {
                     slope_squared: (1.0 - cos_half * cos_half) * inverse_cos_squared,
@@ -530,7 +619,16 @@ const NORMAL_FRESNEL: f32 = {
     let r = (REFRACTIVE_INDEX - 1.0) / (REFRACTIVE_INDEX + 1.0);
     r * r
 };
+/// How many times as much as a usual dielectric one reflects at most, or any beside another: F₀ lies between that of ice, 0.02, and that
+/// of glass of an index of 1.8, 0.08; no metal has less than 0.4.
+pub const MOST_OF_DIELECTRIC: f32 = 4.0;
 const INVERSE_NORMAL_FRESNEL: f32 = 1.0 / NORMAL_FRESNEL;
+
+/// A dielectric's Fresnel factor, 1 at normal incidence, of a surface where it rises by this part as much; see [`Brdf::rise`].
+#[inline(always)]
+fn risen(rise: f32, factor: f32) -> f32 {
+    factor * rise + (1.0 - rise)
+}
 
 /// Unpolarised Fresnel reflectance of a dielectric at the cosine `c` of incidence.
 #[inline(always)]
@@ -651,6 +749,34 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn what_reflects_more_reflects_no_more_than_all_at_grazing_angles() {
+        // Of plastic 24 times as much as at normal incidence, of gold hardly more, of what reflects all the same.
+        for (strength, most) in [(1.0, 25.0), (10.0, 2.5), (25.0, 1.0), (40.0, 1.0)] {
+            let gloss = Gloss::new(1.0, strength);
+            let brdf = Brdf::new(SpecularModel::Ggx, 0.1).at(gloss);
+            let factor = brdf.fresnel_factor(1e-4);
+            assert!((factor / most - 1.0).abs() < 0.01, "{strength}: {factor}");
+            assert!((brdf.fresnel_factor(1.0) - 1.0).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn a_gloss_beside_another_is_what_it_reflects_more() {
+        let metal = Gloss::new(0.5, 8.0).reflecting(Vec3::new(12.0, 8.0, 4.0));
+        assert_eq!((metal.strength, metal.tint), (8.0, [1.5, 1.0, 0.5]));
+        let main = Gloss::new(2.0, 4.0).reflecting(Vec3::new(2.0, 4.0, 6.0));
+        let beside = metal.beside(main);
+        assert_eq!(beside.roughness, 0.25);
+        let off = beside.scale() - Vec3::new(6.0, 2.0, 4.0 / 6.0);
+        assert!(off.abs().max_element() < 1e-5, "{off}");
+        assert_eq!(metal.beside(metal), Gloss::MAIN);
+        // Half of a texel that reflects nothing leaves the colour and takes half of the strength.
+        let mixed = Gloss::mean([(metal, 0.5), (Gloss::new(1.0, 0.0), 0.5)]);
+        assert_eq!(mixed.tint, metal.tint);
+        assert_eq!((mixed.strength, mixed.roughness), (4.0, 0.5));
     }
 
     #[test]

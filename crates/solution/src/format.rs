@@ -11,9 +11,10 @@ use rekindle_scene::shortcuts::LeftOut;
 
 /// What `format` says.
 pub(super) const FORMAT: &str = "rekindle-solution";
-/// The newest version that can be read, written where parts of the surface differ in gloss …
-pub(super) const VERSION: u32 = 2;
-/// … and the one written where they don't, which older programs read too.
+/// The newest version that can be read, written where parts of the surface reflect in different colours, …
+pub(super) const VERSION: u32 = 3;
+/// … where they differ in gloss, and where they don't: older programs read these too.
+pub(super) const VERSION_OF_WHITE_GLOSS: u32 = 2;
 pub(super) const VERSION_OF_ONE_GLOSS: u32 = 1;
 
 /// Read before everything else, so that a newer file is recognised whatever else it holds.

@@ -60,7 +60,7 @@ use rayon::prelude::*;
 
 use format::{
     FORMAT, Head, Hemisphere, Light, Listed, Manifest, Nodes, Texture, VERSION,
-    VERSION_OF_ONE_GLOSS,
+    VERSION_OF_ONE_GLOSS, VERSION_OF_WHITE_GLOSS,
 };
 use rekindle_base::files;
 use rekindle_base::staging::{DestinationError, Owned, Staging, cannot_write, check_owned};
@@ -285,9 +285,14 @@ impl Solution {
                 };
                 let texels = gloss.texels().iter();
                 let sigma: Vec<f32> = texels.clone().map(|g| brdf.at(*g).sigma).collect();
-                let strength: Vec<f32> = texels.map(|g| g.strength).collect();
                 exr_file::write_gray(&folder.join(ROUGHNESS), width, &sigma)?;
-                exr_file::write_gray(&folder.join(STRENGTH), width, &strength)
+                let path = folder.join(STRENGTH);
+                if gloss.is_coloured() {
+                    let scales: Vec<_> = texels.map(|g| g.scale().to_array()).collect();
+                    return write_rgb(&path, width, &scales);
+                }
+                let strength: Vec<f32> = texels.map(|g| g.strength).collect();
+                exr_file::write_gray(&path, width, &strength)
             }),
             Box::new(|| write_obj(&folder.join("mesh.obj"), OBJ_HEAD, &self.mesh, &uvs)),
             Box::new(|| mesh_file::write_ply(&folder.join("mesh.ply"), &self.mesh, &uvs)),
@@ -374,10 +379,10 @@ impl Solution {
         let views = self.fit.psnr_db_per_view.iter();
         Manifest {
             format: FORMAT.to_owned(),
-            version: if self.gloss.is_some() {
-                VERSION
-            } else {
-                VERSION_OF_ONE_GLOSS
+            version: match &self.gloss {
+                Some(gloss) if gloss.is_coloured() => VERSION,
+                Some(_) => VERSION_OF_WHITE_GLOSS,
+                None => VERSION_OF_ONE_GLOSS,
             },
             files: Vec::new(),
             name: self.name.clone(),
@@ -470,14 +475,21 @@ impl Solution {
         };
         let gloss = match manifest.sigma.filter(|_| !manifest.gloss_parts.is_empty()) {
             Some(sigma) => {
-                let texels = gray(ROUGHNESS)?.into_iter().zip(gray(STRENGTH)?);
-                let gloss = |(roughness, strength): (f32, f32)| Gloss {
-                    roughness: roughness.clamp(MIN_GLOSS_ROUGHNESS, 1.0 / MIN_GLOSS_ROUGHNESS),
-                    strength: strength.max(0.0),
-                };
                 let parts = manifest.gloss_parts.iter();
-                let parts = parts.map(|part| gloss((part.roughness, part.strength)));
-                let texels = texels.map(|(own, strength)| gloss((own / sigma, strength)));
+                let is_coloured = parts.clone().any(|part| !Gloss::is_white(&part.tint));
+                let scales = if is_coloured {
+                    rgb(STRENGTH)?
+                } else {
+                    gray(STRENGTH)?.into_iter().map(|s| [s; 3]).collect()
+                };
+                let gloss = |(roughness, scale): (f32, Vec3)| {
+                    let least = MIN_GLOSS_ROUGHNESS;
+                    let roughness = roughness.clamp(least, least.recip());
+                    Gloss::new(roughness, 0.0).reflecting(scale.max(Vec3::ZERO))
+                };
+                let parts = parts.map(|part| gloss((part.roughness, part.scale())));
+                let texels = (gray(ROUGHNESS)?.into_iter().zip(scales))
+                    .map(|(own, scale)| gloss((own / sigma, scale.into())));
                 Some(GlossTexture::new(parts.collect(), texels.collect()))
             }
             None => None,
@@ -1112,18 +1124,26 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("solution");
         let mut solution = example();
-        let gloss = |k: usize| Gloss {
-            roughness: 0.5 + k as f32 / 7.0,
-            strength: [1.0, 0.0, 1.25][k % 3],
+        let white = |k: usize| Gloss::new(0.5 + k as f32 / 7.0, [1.0, 0.0, 1.25][k % 3]);
+        let metal = |k: usize| match k % 3 {
+            2 => white(k).reflecting(Vec3::new(14.0, 9.0, 4.0)),
+            _ => white(k),
         };
-        let texels = (0..solution.atlas.len()).map(gloss).collect();
-        let parts = (0..2).map(gloss).collect();
-        solution.gloss = Some(GlossTexture::new(parts, texels));
-        solution.save(&path).unwrap();
-        let found = Solution::load(&path).unwrap().gloss.unwrap();
-        for (k, found) in found.texels().iter().enumerate() {
-            assert!((found.roughness / gloss(k).roughness - 1.0).abs() < 1e-5);
-            assert_eq!(found.strength, gloss(k).strength);
+        let all: [(&dyn Fn(usize) -> Gloss, u32); 2] = [(&white, 2), (&metal, 3)];
+        for (gloss, version) in all {
+            let texels = (0..solution.atlas.len()).map(gloss).collect();
+            let parts = (0..3).map(gloss).collect();
+            solution.gloss = Some(GlossTexture::new(parts, texels));
+            solution.save(&path).unwrap();
+            let text = fs::read_to_string(path.join(MANIFEST)).unwrap();
+            assert!(text.contains(&format!("\"version\": {version},")), "{text}");
+            let found = Solution::load(&path).unwrap().gloss.unwrap();
+            assert_eq!(found.is_coloured(), version == 3);
+            for (k, found) in found.texels().iter().enumerate() {
+                assert!((found.roughness / gloss(k).roughness - 1.0).abs() < 1e-5);
+                let off = found.scale() - gloss(k).scale();
+                assert!(off.abs().max_element() < 1e-5, "{off}");
+            }
         }
         fs::remove_file(path.join(STRENGTH)).unwrap();
         let error = Solution::load(&path).err().unwrap().to_string();

@@ -13,6 +13,8 @@ const LEAST_SHARE: f32 = 0.005;
 pub struct SurfacePart {
     /// Its lobe; the strength is 0 where nothing is reflected.
     pub brdf: Brdf,
+    /// See [`Gloss::tint`].
+    pub tint: [f32; 3],
     /// Share of the surface, 0 to 1.
     pub share: f32,
 }
@@ -42,6 +44,7 @@ impl Solution {
         parts
             .map(|(gloss, share)| SurfacePart {
                 brdf: main.at(gloss),
+                tint: gloss.tint,
                 share,
             })
             .collect()
@@ -76,8 +79,11 @@ impl Solution {
         }
         let roughness = part.roughness();
         let is_main = Some(part.brdf) == self.brdf;
+        let is_metal_beside =
+            part.brdf.is_metal() && !self.brdf.is_some_and(|main| main.is_metal());
+        let metal = if is_metal_beside { "metal of " } else { "" };
         // Writing into a string can't fail.
-        let mut text = format!("roughness {roughness:.2}");
+        let mut text = format!("{metal}roughness {roughness:.2}");
         if is_main && let Some([low, high]) = self.sigma_interval95 {
             // √σ moves by half of what σ does, in parts of it.
             let error = 0.25 * roughness * (high - low) / part.brdf.sigma;
@@ -86,6 +92,10 @@ impl Solution {
         if !is_main {
             let strength = part.brdf.strength / self.brdf.map_or(1.0, |main| main.strength);
             let _ = write!(text, " at {strength:.2} times the strength");
+        }
+        if !Gloss::is_white(&part.tint) {
+            let [r, g, b] = part.tint;
+            let _ = write!(text, " and tint {r:.2} {g:.2} {b:.2}");
         }
         if several {
             let _ = write!(text, " on {share:.0} %");
@@ -107,7 +117,7 @@ fn two_digits(error: f32) -> String {
 mod tests {
     use super::super::tests::example;
     use super::*;
-    use glam::Vec2;
+    use glam::{Vec2, Vec3};
     use rekindle_scene::surface::{Atlas, GlossTexture};
 
     #[test]
@@ -127,22 +137,26 @@ mod tests {
             strength: 0.0,
             ..Gloss::MAIN
         };
-        let dull = Gloss {
-            roughness: 2.25,
-            strength: 0.5,
-        };
+        let dull = Gloss::new(2.25, 0.5);
         texels[0] = matt;
         texels[1..3].fill(dull);
         // What lies between two parts makes no part.
-        texels[3] = Gloss {
-            roughness: 2.0,
-            strength: 0.6,
-        };
+        texels[3] = Gloss::new(2.0, 0.6);
         solution.gloss = Some(GlossTexture::new(vec![Gloss::MAIN, dull, matt], texels));
         assert_eq!(
             solution.surface_in_words(),
             "GGX, roughness 0.30 ± 0.01 on 60 % of the surface, roughness 0.45 at 0.50 times the strength on 30 %, no gloss on \
              10 %"
+        );
+        // What reflects so much more than plastic is a metal, of its own colour.
+        let metal = Gloss::new(0.25, 9.0).reflecting(Vec3::new(13.5, 9.0, 4.5));
+        let mut texels = vec![Gloss::MAIN; count];
+        texels[..6].fill(metal);
+        solution.gloss = Some(GlossTexture::new(vec![Gloss::MAIN, metal], texels));
+        assert_eq!(
+            solution.surface_in_words(),
+            "GGX, metal of roughness 0.15 at 9.00 times the strength and tint 1.50 1.00 0.50 on 60 % of the surface, roughness \
+             0.30 ± 0.01 on 40 %"
         );
     }
 

@@ -803,7 +803,9 @@ fn by_diffuse_part(
     let (Some(metal), Some(other)) = (metal, other) else {
         return Ok(None);
     };
-    if solver.seen.turning.is_some() || watch.observer.enough() {
+    // Metals have dielectrics beside them, with diffuse parts.
+    let is_mixed = (solver.seen.parts).is_some_and(|parts| parts.beside_metals().is_some());
+    if is_mixed || solver.seen.turning.is_some() || watch.observer.enough() {
         return Ok(None);
     }
     go_on(watch.observer.progress("looking for a diffuse part", 0.15))?;

@@ -25,7 +25,12 @@ pub fn parts(parts: &GlossParts, sigma: f32) -> String {
         }
     };
     let named: Vec<String> = parts.glosses.iter().enumerate().map(named).collect();
-    format!("; the gloss differs: {} of the surface", named.join(", "))
+    let mut text = format!("; the gloss differs: {} of the surface", named.join(", "));
+    if parts.beside_metals().is_some() {
+        text += "; what reflects least is taken for a dielectric, which has the colour of the light, and what reflects so much more for \
+            metal";
+    }
+    text
 }
 
 /// A specular model in words.

@@ -463,7 +463,7 @@ impl Solver<'_> {
             before.is_some_and(|before| parts.difference(before) < SAME_GLOSS)
         };
         let Some((parts, main)) = found.filter(|(parts, _)| !settled(parts)) else {
-            return self.finish(state, step, observations, watch);
+            return self.with_metals(state, step, observations, watch);
         };
         let parted = self.parted(&parts);
         let with_main = state.with_main(main);
@@ -481,6 +481,53 @@ impl Solver<'_> {
         let mut state = parted.on_points(&with_main, &observations);
         let step = parted.settle(&mut state, watch)?;
         parted.with_parts(state, &step, &observations, rounds - 1, watch)
+    }
+
+    /// The same where the parts are known. Where some reflect as metals do beside others the latter are dielectrics, if these lobes leave less.
+    fn with_metals(
+        &self,
+        state: State<'_>,
+        step: &SigmaStep,
+        observations: &Observations,
+        watch: &mut Watch<'_>,
+    ) -> Result<Fit, Stopped> {
+        let dielectric = self.seen.parts.and_then(GlossParts::beside_metals);
+        let is_free = !self.is_lobe_asked_for || state.brdf.model == SpecularModel::Ggx;
+        let Some((parts, main)) = self.seen.parts.zip(dielectric).filter(|_| is_free) else {
+            return self.with_tints(state, step, observations, watch);
+        };
+        let parts = parts.beside(main);
+        let beside = self.parted(&parts);
+        let with_glosses = observations.of_parts(&parts);
+        let mut with_main = state.with_main(main);
+        with_main.brdf.model = SpecularModel::Ggx;
+        let mut mixed = beside.on_points(&with_main, &with_glosses);
+        let mixed_step = beside.settle(&mut mixed, watch)?;
+        // No metal reflects so much less than another.
+        let is_metal = state.brdf.model == SpecularModel::Metal;
+        if is_metal || mixed.residuals.absolute_sum() < state.residuals.absolute_sum() {
+            beside.with_tints(mixed, &mixed_step, &with_glosses, watch)
+        } else {
+            self.with_tints(state, step, observations, watch)
+        }
+    }
+
+    /// The same after the lights are told in the colours that the parts reflect in, where these differ.
+    fn with_tints(
+        &self,
+        state: State<'_>,
+        step: &SigmaStep,
+        observations: &Observations,
+        watch: &mut Watch<'_>,
+    ) -> Result<Fit, Stopped> {
+        let Some((parts, main)) = self.tinted_parts(&state) else {
+            return self.finish(state, step, observations, watch);
+        };
+        let tinted = self.parted(&parts);
+        let observations = observations.of_parts(&parts);
+        let mut state = tinted.on_points(&state.with_main(main), &observations);
+        let step = tinted.settle(&mut state, watch)?;
+        tinted.finish(state, &step, &observations, watch)
     }
 
     /// Lights and roughness on single nodes and all points, and the last step of σ.

@@ -160,10 +160,7 @@ impl Kind {
 
     fn gloss(self) -> Gloss {
         let roughness = ROUGHNESSES[self.roughness];
-        Gloss {
-            roughness,
-            strength: self.height as f32 * roughness * roughness,
-        }
+        Gloss::new(roughness, self.height as f32 * roughness * roughness)
     }
 }
 
@@ -313,12 +310,13 @@ impl Step {
         Gloss {
             roughness: (gloss.roughness * wider.clamp(-0.3, 0.3).exp() as f32).clamp(0.1, 10.0),
             strength: gloss.strength * stronger.clamp(-0.5, 0.5).exp() as f32,
+            ..gloss
         }
     }
 }
 
-/// The kinds' glosses off the grid of [`ROUGHNESSES`], by robust Gauss-Newton steps over each one's points.
-fn refined(lit: &Lit<'_>, parts: &[usize], kinds: &[Kind]) -> Vec<Gloss> {
+/// The kinds' glosses off the grid of [`ROUGHNESSES`], by robust Gauss-Newton steps over the points inside each one's part.
+fn refined(lit: &Lit<'_>, parts: &[usize], inside: &[bool], kinds: &[Kind]) -> Vec<Gloss> {
     let mut own = lit.design.observations.clone();
     for (point, &part) in own.points.iter_mut().zip(parts) {
         point.gloss = part;
@@ -332,7 +330,8 @@ fn refined(lit: &Lit<'_>, parts: &[usize], kinds: &[Kind]) -> Vec<Gloss> {
         };
         let Prediction { value, by_sigma } = design.predict(&lit.brdf, &lit.radiance);
         let mut steps = vec![Step::default(); kinds.len()];
-        for point in &own.points {
+        let of_use = own.points.iter().zip(inside);
+        for (point, _) in of_use.filter(|(_, is_inside)| **is_inside) {
             let rows = point.rows.clone();
             // At a fixed strength a wider lobe is lower.
             let column = |k: usize| {
@@ -479,7 +478,8 @@ impl<'a> Board<'a> {
             return None;
         }
         let parts = self.walk(kinds, &self.evidence);
-        let glosses = refined(lit, &parts, kinds);
+        let inside = self.bonds.inside(&parts);
+        let glosses = refined(lit, &parts, &inside, kinds);
         // The one that explains most.
         let explained = |k: usize| -> f64 {
             let own = self.evidence.iter().zip(&parts);
@@ -490,10 +490,6 @@ impl<'a> Board<'a> {
             .filter(|&k| glosses[k].strength > 0.0)
             .max_by(|&a, &b| explained(a).total_cmp(&explained(b)))?;
         let main = glosses[main];
-        let of_main = |gloss: Gloss| Gloss {
-            roughness: gloss.roughness / main.roughness,
-            strength: gloss.strength / main.strength,
-        };
         let points = self
             .observations
             .points
@@ -505,9 +501,9 @@ impl<'a> Board<'a> {
             colour,
             gloss,
         });
-        let glosses = glosses.into_iter().map(of_main).collect();
+        let glosses = glosses.into_iter().map(|gloss| gloss.beside(main));
         let scale = self.observations.scale;
-        let parts = GlossParts::new(glosses, self.contrast, scale, points.collect());
+        let parts = GlossParts::new(glosses.collect(), self.contrast, scale, points.collect());
         Some((parts, main))
     }
 

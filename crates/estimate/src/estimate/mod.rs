@@ -37,6 +37,7 @@ mod stated_gloss;
 mod strengths;
 mod support;
 mod suspects;
+mod tints;
 mod total_variation;
 mod turntable;
 pub mod visibility;

@@ -13,6 +13,8 @@ use rekindle_scene::surface::likeness;
 
 /// Points that a point is joined to.
 const NEIGHBOURS: usize = 8;
+/// Points inside a part that are few, as a share of those along its borders.
+const FEW_INSIDE: f32 = 0.25;
 /// Difference of neighbours' logarithms of radiance that says nothing.
 const LEAST_CONTRAST: f32 = 0.02;
 
@@ -39,6 +41,43 @@ impl<T> Lists<T> {
     /// Each point's list.
     pub fn iter(&self) -> impl Iterator<Item = &[T]> {
         (0..self.len()).map(|i| &self[i])
+    }
+}
+
+/// An entry of a list that names a neighbour.
+pub trait Named {
+    /// Its place among all points.
+    fn place(&self) -> usize;
+}
+
+impl Named for u32 {
+    fn place(&self) -> usize {
+        *self as usize
+    }
+}
+
+impl Named for (u32, f32) {
+    fn place(&self) -> usize {
+        self.0 as usize
+    }
+}
+
+impl<T: Named> Lists<T> {
+    /// Which points lie inside their parts, all neighbours being of the same: along borders it is not sure which one a point is of. All points
+    /// of a part that has few inside do.
+    pub fn inside(&self, parts: &[usize]) -> Vec<bool> {
+        let is_inside = |i: usize| self[i].iter().all(|near| parts[near.place()] == parts[i]);
+        let mut inside: Vec<bool> = (0..parts.len()).map(is_inside).collect();
+        let count = parts.iter().max().map_or(0, |most| most + 1);
+        let mut points = vec![[0_usize; 2]; count];
+        for (&part, &is_inside) in parts.iter().zip(&inside) {
+            points[part][usize::from(is_inside)] += 1;
+        }
+        for (&part, is_inside) in parts.iter().zip(&mut inside) {
+            let [border, within] = points[part];
+            *is_inside |= (within as f32) < FEW_INSIDE * border as f32;
+        }
+        inside
     }
 }
 

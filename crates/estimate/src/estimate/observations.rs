@@ -82,7 +82,7 @@ pub struct Row {
     pub to_camera: Vec3,
     /// Cosine between normal and `to_camera`.
     pub cos_view: f32,
-    /// Measured radiance, RGB, in units of [`Observations::scale`].
+    /// Measured radiance, RGB, in units of [`Observations::scale`], by the tint of its point's gloss: so one light is one to all parts.
     pub radiance: [f32; 3],
     /// Whether `radiance` is clipped: the least that it can be.
     pub is_bound: bool,
@@ -321,8 +321,11 @@ impl Observations {
     pub fn of_parts(&self, parts: &GlossParts) -> Self {
         let mut parted = self.clone();
         parted.glosses.clone_from(&parts.glosses);
-        for point in &mut parted.points {
+        for (point, before) in parted.points.iter_mut().zip(&self.points) {
             point.gloss = parts.at(point.position);
+            let tint = parts.glosses[point.gloss].tint;
+            let change = Vec3::from(tint) / Vec3::from(self.glosses[before.gloss].tint);
+            by_tint(&mut parted.rows[point.rows.clone()], change);
         }
         parted
     }
@@ -330,10 +333,12 @@ impl Observations {
     /// The same on a surface of one gloss.
     #[must_use]
     pub fn without_parts(mut self) -> Self {
-        self.glosses = vec![Gloss::MAIN];
         for point in &mut self.points {
+            let tint = Vec3::from(self.glosses[point.gloss].tint);
+            by_tint(&mut self.rows[point.rows.clone()], tint.recip());
             point.gloss = 0;
         }
+        self.glosses = vec![Gloss::MAIN];
         self
     }
 
@@ -346,6 +351,15 @@ impl Observations {
         }
         gray.gray = true;
         gray
+    }
+}
+
+/// Divides what rows measure by a tint.
+fn by_tint(rows: &mut [Row], tint: Vec3) {
+    if tint != Vec3::ONE {
+        for row in rows {
+            row.radiance = (Vec3::from(row.radiance) / tint).to_array();
+        }
     }
 }
 
@@ -419,6 +433,12 @@ impl Candidate {
                 (stops() || candidate.take_out(mirrored)).then_some(candidate)
             });
             found = of_use.collect();
+        }
+        if let Some(parts) = seen.parts {
+            for candidate in &mut found {
+                let tint = parts.glosses[candidate.gloss].tint;
+                by_tint(&mut candidate.rows, tint.into());
+            }
         }
         if let Some(irradiance) = seen.turning.and_then(|turning| turning.irradiance.as_ref()) {
             let stops = || sampling.stop.load(Ordering::Relaxed);

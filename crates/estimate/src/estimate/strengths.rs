@@ -287,10 +287,7 @@ fn step(strength: f64) -> usize {
 
 /// The gloss of a step.
 fn gloss(step: usize) -> Gloss {
-    Gloss {
-        roughness: 1.0,
-        strength: step as f32 / STEPS as f32,
-    }
+    Gloss::new(1.0, step as f32 / STEPS as f32)
 }
 
 /// The strength that is to be called 1.

@@ -345,6 +345,11 @@ fn mostly_dull() -> (Capture, Vec<Vec3>) {
 
 /// `spot_paper` without gloss at some places and so many times as much elsewhere, and where highlights are, or would be if none were dull.
 fn dull_where(is_dull: fn(Vec3) -> bool, times: f32) -> (Capture, Vec<Vec3>) {
+    glossy_by(|p| Vec3::splat(if is_dull(p) { 0.0 } else { times }))
+}
+
+/// `spot_paper` with so many times as much gloss at each place, in each channel, and where highlights are, or would be.
+fn glossy_by(times: impl Fn(Vec3) -> Vec3) -> (Capture, Vec<Vec3>) {
     let mut capture = load();
     let occluder = Occluder::new(&capture.mesh);
     let mut places = Vec::new();
@@ -357,8 +362,8 @@ fn dull_where(is_dull: fn(Vec3) -> bool, times: f32) -> (Capture, Vec<Vec3>) {
                 if pixel[1] > 1.2 * diffuse[1] {
                     places.push(point.position);
                 }
-                let gloss = if is_dull(point.position) { 0.0 } else { times };
-                *pixel = array::from_fn(|c| diffuse[c] + gloss * (pixel[c] - diffuse[c]));
+                let gloss = times(point.position);
+                *pixel = array::from_fn(|c| diffuse[c] + gloss[c] * (pixel[c] - diffuse[c]));
             }
         }
     }
@@ -392,6 +397,40 @@ fn lights_are_found_where_half_the_surface_has_no_gloss() {
     let sigma = found.brdf.unwrap().sigma;
     assert!((sigma / 0.085 - 1.0).abs() < 0.05, "{sigma}");
     parts_are_half_dull(&found, &places);
+}
+
+#[test]
+fn parts_that_reflect_in_a_colour_do_not_colour_the_lights() {
+    let metal = Vec3::new(12.0, 8.0, 4.0);
+    let (capture, places) = glossy_by(|p| if is_dull(p) { Vec3::ONE } else { metal });
+    let [plain, found] = [&load(), &capture].map(fast);
+    lamps_of_spot_paper_are_within(&found, 1.0);
+    let parts = found
+        .parts
+        .as_ref()
+        .expect("half of the surface is a metal");
+    let is_metal = |p: &Vec3| parts.glosses[parts.at(*p)].strength > 4.0;
+    let right = places
+        .iter()
+        .filter(|p| is_metal(p) != is_dull(**p))
+        .count();
+    assert!(
+        right as f32 > 0.9 * places.len() as f32,
+        "{right} of {}",
+        places.len()
+    );
+    let strongest = parts
+        .glosses
+        .iter()
+        .max_by(|a, b| a.strength.total_cmp(&b.strength));
+    let scale = strongest.unwrap().scale();
+    assert!((scale / metal - 1.0).abs().max_element() < 0.1, "{scale}");
+    let colour = |found: &Estimate| -> Vec3 {
+        let sum: Vec3 = found.radiance.iter().map(|&l| Vec3::from(l)).sum();
+        sum / sum.element_sum()
+    };
+    let off = colour(&found) / colour(&plain) - 1.0;
+    assert!(off.abs().max_element() < 0.03, "{off}");
 }
 
 #[test]

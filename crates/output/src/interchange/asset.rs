@@ -158,6 +158,11 @@ impl Asset {
         }
     }
 
+    /// Whether parts reflect in different colours.
+    pub fn is_coloured(&self) -> bool {
+        self.gloss.as_ref().is_some_and(GlossTexture::is_coloured)
+    }
+
     /// Which of [`Asset::parts`] each texel is of, or nearest to.
     pub fn nearest_parts(&self) -> Vec<usize> {
         let Some(gloss) = &self.gloss else {

@@ -21,6 +21,8 @@ pub struct Files<'a> {
     pub base_colour: &'a str,
     /// Roughness in red and specular level in green, linear EXR, where parts differ.
     pub gloss: Option<&'a str>,
+    /// What is reflected of each channel beside that of which most is, linear EXR, where parts differ in that.
+    pub specular_colour: Option<&'a str>,
     /// The whole light, lat-long in Blender's orientation.
     pub light: &'a str,
     /// The same without lamps.
@@ -61,7 +63,12 @@ pub fn scene(asset: &Asset, files: &Files) -> Value {
             "ior": material.refractive_index(),
             "gloss": files.gloss.map(|file| {
                 let strongest = asset.strongest();
-                json!({ "file": file, "f0": strongest.f0, "ior": strongest.refractive_index() })
+                json!({
+                    "file": file,
+                    "colour": files.specular_colour,
+                    "f0": strongest.f0,
+                    "ior": strongest.refractive_index(),
+                })
             }),
         },
         "interreflections": material.model.is_some_and(SpecularModel::is_dielectric),

@@ -11,6 +11,7 @@
 
 use std::f32::consts::{PI, SQRT_2};
 
+use glam::Vec3;
 use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
 
 /// Reflectance of plastic, varnish and skin at normal incidence: an index of refraction of 1.5.
@@ -26,8 +27,10 @@ pub struct Material {
     pub model: Option<SpecularModel>,
     /// Roughness σ of the lobe, radians; 0 without one.
     pub sigma: f32,
-    /// Reflectance at normal incidence; 0 without a lobe.
+    /// Reflectance at normal incidence, that of the channel of which most is reflected; 0 without a lobe.
     pub f0: f32,
+    /// Part of it that each channel has, the largest being 1.
+    pub colour: Vec3,
     /// K_S of eq. 4: real light is the solution's divided by it.
     pub specular_scale: f32,
 }
@@ -40,6 +43,7 @@ impl Material {
                 model: None,
                 sigma: 0.0,
                 f0: 0.0,
+                colour: Vec3::ONE,
                 specular_scale: 1.0,
             };
         };
@@ -47,6 +51,7 @@ impl Material {
             model: Some(model),
             sigma,
             f0,
+            colour: Vec3::ONE,
             specular_scale: f0 / (8.0 * PI * sigma * sigma),
         }
     }
@@ -58,13 +63,21 @@ impl Material {
             return Self {
                 model: None,
                 f0: 0.0,
+                colour: Vec3::ONE,
                 specular_scale: 0.0,
                 ..*self
             };
         }
+        let reflected = (self.f0 * gloss.scale()).min(Vec3::splat(LARGEST_F0));
+        let f0 = reflected.max_element();
         Self {
             sigma: self.sigma * gloss.roughness,
-            f0: (self.f0 * gloss.strength).min(LARGEST_F0),
+            f0,
+            colour: if Gloss::is_white(&gloss.tint) {
+                Vec3::ONE
+            } else {
+                reflected / f0.max(f32::MIN_POSITIVE)
+            },
             specular_scale: self.specular_scale * gloss.height(),
             ..*self
         }

@@ -105,8 +105,9 @@ fn little_endian(words: impl Iterator<Item = u32>) -> Vec<u8> {
     words.flat_map(u32::to_le_bytes).collect()
 }
 
-/// The file's bytes; `base_colour` is the texture as PNG, `gloss` that of roughness and specular level where parts differ.
-pub fn glb(asset: &Asset, base_colour: &[u8], gloss: Option<&[u8]>) -> Vec<u8> {
+/// The file's bytes; `base_colour` is the texture as PNG, and where parts differ there follow in `gloss` that of roughness and specular
+/// level, and that of the specular colour where these differ too.
+pub fn glb(asset: &Asset, base_colour: &[u8], gloss: &[Vec<u8>]) -> Vec<u8> {
     let vertices = Vertices::new(&asset.mesh, &asset.uvs);
     let mut buffer = Buffer::default();
     let positions = buffer.vectors(&vertices.positions, true);
@@ -129,7 +130,7 @@ pub fn glb(asset: &Asset, base_colour: &[u8], gloss: Option<&[u8]>) -> Vec<u8> {
         json!({ "componentType": UNSIGNED_INT, "count": vertices.indices.len(), "type": "SCALAR" }),
     );
     let images: Vec<usize> = std::iter::once(base_colour)
-        .chain(gloss)
+        .chain(gloss.iter().map(Vec::as_slice))
         .map(|image| buffer.view(image, None))
         .collect();
     let lamps = listed(asset);
@@ -194,7 +195,10 @@ fn material(asset: &Asset) -> Value {
     if asset.gloss.is_some() {
         reflection["roughnessFactor"] = json!(1.0);
         reflection["metallicRoughnessTexture"] = json!({ "index": 1 });
-        let levels = json!({ "specularTexture": { "index": 1 } });
+        let mut levels = json!({ "specularTexture": { "index": 1 } });
+        if asset.is_coloured() {
+            levels["specularColorTexture"] = json!({ "index": 2 });
+        }
         extensions.insert("KHR_materials_specular".to_owned(), levels);
     }
     json!({

@@ -31,6 +31,7 @@ const COLOUR_EXR: &str = "base_color.exr";
 const ROUGHNESS_PNG: &str = "roughness.png";
 const SPECULAR_PNG: &str = "specular.png";
 const GLOSS_EXR: &str = "gloss.exr";
+const SPECULAR_COLOUR_EXR: &str = "specular_colour.exr";
 const LIGHT: &str = "light.exr";
 const REST: &str = "light_without_lamps.exr";
 const README: &str = "README.txt";
@@ -312,7 +313,7 @@ impl<'a> Files<'a> {
         self.add(name, move |path| fs::write(path, bytes(asset)?));
     }
 
-    /// Roughness and specular level as grey pictures, where parts differ.
+    /// Roughness and specular level as pictures, where parts differ.
     fn gloss_pngs(&mut self) -> Option<obj::GlossFiles<'static>> {
         self.asset.gloss.as_ref()?;
         self.png(ROUGHNESS_PNG, textures::roughness_png);
@@ -357,6 +358,12 @@ impl<'a> Files<'a> {
         if let Some(name) = gloss {
             self.add(name, move |path| textures::write_gloss(path, asset));
         }
+        let colour = asset.is_coloured().then_some(SPECULAR_COLOUR_EXR);
+        if let Some(name) = colour {
+            self.add(name, move |path| {
+                textures::write_specular_colour(path, asset)
+            });
+        }
         let own = self.layout.oriented(Orientation::Blender);
         let light = self.own_light(own, "light_blender.exr");
         self.map(REST, own, Part::Rest);
@@ -365,6 +372,7 @@ impl<'a> Files<'a> {
                 mesh: OBJ,
                 base_colour: COLOUR_EXR,
                 gloss,
+                specular_colour: colour,
                 light,
                 rest: REST,
             };
@@ -449,10 +457,15 @@ fn files<'a>(asset: &'a Asset, job: &Job) -> Vec<File<'a>> {
             Form::Blender => files.blender(),
             Form::Mitsuba => files.mitsuba(),
             Form::Gltf => files.add("object.glb", |path| {
-                let gloss = asset.gloss.as_ref();
-                let gloss = gloss.map(|_| textures::gltf_gloss_png(asset)).transpose()?;
+                let mut gloss = Vec::new();
+                if asset.gloss.is_some() {
+                    gloss.push(textures::gltf_gloss_png(asset)?);
+                }
+                if asset.is_coloured() {
+                    gloss.push(textures::specular_colour_png(asset)?);
+                }
                 let colours = textures::base_colour_png(asset)?;
-                fs::write(path, glb::glb(asset, &colours, gloss.as_deref()))
+                fs::write(path, glb::glb(asset, &colours, &gloss))
             }),
             Form::Usd => files.usd(),
             Form::Obj => files.mesh(),

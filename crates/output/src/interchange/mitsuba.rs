@@ -97,6 +97,12 @@ fn material(text: &mut String, material: &Material, base_colour: &str) {
         "<string name=\"distribution\" value=\"{distribution}\"/><float name=\"alpha\" value=\"{}\"/>",
         material.alpha()
     );
+    let colour = if material.colour == Vec3::ONE {
+        String::new()
+    } else {
+        let Vec3 { x, y, z } = material.colour;
+        format!("<rgb name=\"specular_reflectance\" value=\"{x} {y} {z}\"/>")
+    };
     let _ = match material.model {
         None => writeln!(
             text,
@@ -114,7 +120,7 @@ fn material(text: &mut String, material: &Material, base_colour: &str) {
         ),
         Some(SpecularModel::Beckmann | SpecularModel::Ggx) => writeln!(
             text,
-            "        <bsdf type=\"roughplastic\"><float name=\"int_ior\" value=\"{}\"/><float name=\"ext_ior\" value=\"1\"/>{lobe}{}</bsdf>",
+            "        <bsdf type=\"roughplastic\"><float name=\"int_ior\" value=\"{}\"/><float name=\"ext_ior\" value=\"1\"/>{lobe}{colour}{}</bsdf>",
             material.refractive_index(),
             texture("diffuse_reflectance")
         ),

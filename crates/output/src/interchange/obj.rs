@@ -21,7 +21,7 @@ pub fn write(path: &Path, asset: &Asset, mtl: &str) -> io::Result<()> {
 pub struct GlossFiles<'a> {
     /// √α, grey, linear.
     pub roughness: &'a str,
-    /// Reflectance at normal incidence as a part of the strongest's, grey, linear.
+    /// Reflectance at normal incidence as a part of the strongest's, grey or RGB, linear.
     pub specular: &'a str,
 }
 

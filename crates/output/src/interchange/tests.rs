@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs;
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,6 +13,8 @@ use super::*;
 use rekindle_capture::{Camera, Distortion, read_cameras};
 use rekindle_relight::{Edit, LampNodes, LatLong, LightNode, Lighting, apply};
 use rekindle_scene::hemisphere::{Picture, direction_from_lat_long};
+use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
+use rekindle_scene::surface::GlossTexture;
 use rekindle_solution::Solution;
 use rekindle_studio::fixtures;
 
@@ -328,7 +331,7 @@ fn cameras_come_back_from_their_file() {
 fn a_glb_reads_back_as_the_object_in_its_light() {
     let asset = asset();
     let png = textures::base_colour_png(&asset).unwrap();
-    let bytes = glb::glb(&asset, &png, None);
+    let bytes = glb::glb(&asset, &png, &[]);
     let file = gltf::Gltf::from_slice(&bytes).unwrap();
     let blob = file.blob.clone().unwrap();
     let primitive = file.meshes().next().unwrap().primitives().next().unwrap();
@@ -387,6 +390,53 @@ fn a_glb_reads_back_as_the_object_in_its_light() {
         panic!("not a perspective camera");
     };
     assert!((lens.yfov() - 2.0 * (30.0_f32 / 92.0).atan()).abs() < 1e-5);
+}
+
+#[test]
+fn parts_of_metal_keep_their_colour_in_other_programs() {
+    let mut solution = (*fixtures::solution()).clone();
+    solution.brdf = Some(Brdf::new(SpecularModel::Ggx, 0.1));
+    let metal = Gloss::new(0.5, 10.0).reflecting(Vec3::new(15.0, 10.0, 5.0));
+    let mut texels = vec![Gloss::MAIN; solution.atlas.len()];
+    texels[..solution.atlas.len() / 2].fill(metal);
+    solution.gloss = Some(GlossTexture::new(vec![Gloss::MAIN, metal], texels));
+    let (lighting, cameras) = (solution.lighting(), cameras());
+    let asset = asset_of(&solution, &lighting);
+    let (first, last) = (
+        asset.material_at(0),
+        asset.material_at(solution.atlas.len() - 1),
+    );
+    assert!((first.f0 * first.colour - Vec3::new(0.6, 0.4, 0.2)).length() < 1e-5);
+    assert_eq!((last.f0, last.colour), (USUAL_F0, Vec3::ONE));
+    // Of plastic 0.04 of 0.6, and all channels of it.
+    let picture = |bytes: io::Result<Vec<u8>>| image::load_from_memory(&bytes.unwrap()).unwrap();
+    let ends = |picture: &image::DynamicImage| {
+        let rgb = picture.to_rgb8();
+        let last = rgb.get_pixel(rgb.width() - 1, rgb.height() - 1).0;
+        (rgb.get_pixel(0, 0).0, last)
+    };
+    let specular = picture(textures::specular_png(&asset));
+    assert_eq!(ends(&specular), ([255, 170, 85], [17; 3]));
+    let colour = picture(textures::specular_colour_png(&asset));
+    assert_eq!(ends(&colour), ([255, 213, 156], [255; 3]));
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let forms = [Form::Gltf, Form::Blender, Form::Mitsuba, Form::Usd];
+    let source = source(&solution, &lighting, &cameras);
+    export(&source, &job(&out, forms), &|| false, &mut |_, _| ()).unwrap();
+    let text = |name: &str| fs::read_to_string(out.join(name)).unwrap();
+    let file = gltf::Gltf::open(out.join("object.glb")).unwrap();
+    let specular = file.materials().next().unwrap().specular().unwrap();
+    assert_eq!(
+        specular.specular_color_texture().unwrap().texture().index(),
+        2
+    );
+    assert_eq!(file.images().count(), 3);
+    let scene: serde_json::Value = serde_json::from_str(&text("scene.json")).unwrap();
+    let named = scene["material"]["gloss"]["colour"].as_str().unwrap();
+    assert!(out.join(named).is_file());
+    let red = text("mitsuba.xml").matches("specular_reflectance").count();
+    assert_eq!(red, 1, "only the metal has a colour");
 }
 
 #[test]

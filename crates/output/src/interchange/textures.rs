@@ -44,10 +44,32 @@ pub fn roughness_png(asset: &Asset) -> io::Result<Vec<u8>> {
     png(asset, png::ColorType::Grayscale, &bytes)
 }
 
-/// Reflectance of each texel at normal incidence as a part of the strongest's, as a grey PNG file, linear.
+/// Reflectance of each texel at normal incidence as a part of the strongest's, as a linear PNG file: grey, or RGB where parts reflect in
+/// different colours.
 pub fn specular_png(asset: &Asset) -> io::Result<Vec<u8>> {
-    let bytes: Vec<u8> = specular_levels(asset).map(code).collect();
-    png(asset, png::ColorType::Grayscale, &bytes)
+    if !asset.is_coloured() {
+        let bytes: Vec<u8> = specular_levels(asset).map(code).collect();
+        return png(asset, png::ColorType::Grayscale, &bytes);
+    }
+    let levels = specular_levels(asset).zip(specular_colours(asset));
+    let bytes: Vec<u8> = levels
+        .flat_map(|(level, colour)| (level * colour).to_array().map(code))
+        .collect();
+    png(asset, png::ColorType::Rgb, &bytes)
+}
+
+/// What each texel reflects of each channel beside the one of which it reflects most, as an RGB PNG file, sRGB.
+pub fn specular_colour_png(asset: &Asset) -> io::Result<Vec<u8>> {
+    let bytes: Vec<u8> = specular_colours(asset)
+        .flat_map(|colour| srgb(colour).to_array().map(code))
+        .collect();
+    png(asset, png::ColorType::Rgb, &bytes)
+}
+
+/// The same as linear EXR.
+pub fn write_specular_colour(path: &Path, asset: &Asset) -> io::Result<()> {
+    let colours: Vec<[f32; 3]> = specular_colours(asset).map(|c| c.to_array()).collect();
+    write_rgb(path, asset.texture_width, &colours)
 }
 
 /// Both as glTF has them, linear: roughness in green, no metal in blue, the specular level in alpha.
@@ -82,6 +104,10 @@ fn texels(asset: &Asset) -> std::ops::Range<usize> {
 fn specular_levels(asset: &Asset) -> impl Iterator<Item = f32> {
     let strongest = asset.strongest().f0.max(f32::MIN_POSITIVE);
     texels(asset).map(move |k| (asset.material_at(k).f0 / strongest).min(1.0))
+}
+
+fn specular_colours(asset: &Asset) -> impl Iterator<Item = Vec3> {
+    texels(asset).map(move |k| asset.material_at(k).colour)
 }
 
 /// Eight bits of a value from 0 to 1.

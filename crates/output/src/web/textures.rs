@@ -3,7 +3,7 @@
 
 use std::io;
 
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
 use image::codecs::jpeg::JpegEncoder;
 use rayon::prelude::*;
 use serde_json::{Value, json};
@@ -39,11 +39,11 @@ struct Encoded {
     scale: f32,
 }
 
-/// Gloss as a PNG file: strength times the logarithm of roughness in red, strength in green.
+/// Gloss as a PNG file: the strength of each channel, and in alpha their mean times the logarithm of roughness.
 struct GlossPicture {
     file: Vec<u8>,
     /// The values that the largest bytes stand for.
-    scales: [f32; 2],
+    scales: [f32; 4],
 }
 
 impl Textures {
@@ -58,12 +58,9 @@ impl Textures {
             encode(&layout, colours)
         };
         let gloss = (solution.gloss.as_ref()).map(|gloss| {
-            let code = |Gloss {
-                            roughness,
-                            strength,
-                        }: Gloss| {
-                let log = (roughness / LEAST_ROUGHNESS).ln().max(0.0);
-                Vec3::new(log * strength, strength, 0.0)
+            let code = |gloss: Gloss| {
+                let log = (gloss.roughness / LEAST_ROUGHNESS).ln().max(0.0);
+                gloss.scale().extend(log * gloss.strength)
             };
             let texels = layout.colours(
                 |texel| code(gloss.texels()[texel]),
@@ -145,16 +142,16 @@ impl<'a> Layout<'a> {
     }
 
     /// The value of each texel, from that of a texel of the solution or of a point of the mesh; black where there is no surface.
-    fn colours(
+    fn colours<T: Copy + Default + Send>(
         &self,
-        own: impl Fn(usize) -> Vec3 + Sync + Send,
-        at: impl Fn(u32, Vec2) -> Vec3 + Sync,
-    ) -> Vec<Vec3> {
+        own: impl Fn(usize) -> T + Sync + Send,
+        at: impl Fn(u32, Vec2) -> T + Sync,
+    ) -> Vec<T> {
         let Some(atlas) = &self.coarser else {
             return (0..self.known.len()).into_par_iter().map(own).collect();
         };
-        let mut all = vec![Vec3::ZERO; atlas.len()];
-        let values: Vec<Vec3> = (atlas.texels.par_iter())
+        let mut all = vec![T::default(); atlas.len()];
+        let values: Vec<T> = (atlas.texels.par_iter())
             .map(|texel| at(texel.triangle, texel.barycentric))
             .collect();
         for (texel, value) in atlas.texels.iter().zip(values) {
@@ -190,20 +187,23 @@ fn encode(layout: &Layout, colours: Vec<Vec3>) -> io::Result<Encoded> {
     Ok(Encoded { file, scale })
 }
 
-fn encode_gloss([width, height]: [u32; 2], texels: &[Vec3]) -> io::Result<GlossPicture> {
-    let largest = texels.iter().copied().fold(Vec3::splat(1e-6), Vec3::max);
+fn encode_gloss([width, height]: [u32; 2], texels: &[Vec4]) -> io::Result<GlossPicture> {
+    let largest = texels.iter().copied().fold(Vec4::splat(1e-6), Vec4::max);
+    // Equal strengths in all channels are coded alike.
+    let strongest = Vec3::splat(largest.truncate().max_element());
+    let largest = strongest.extend(largest.w);
     let bytes: Vec<u8> = (texels.iter())
         .flat_map(|&texel| (texel / largest).to_array().map(byte))
         .collect();
     let mut file = Vec::new();
     let mut encoder = png::Encoder::new(&mut file, width, height);
-    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_color(png::ColorType::Rgba);
     let mut writer = encoder.write_header().map_err(io::Error::other)?;
     writer.write_image_data(&bytes).map_err(io::Error::other)?;
     writer.finish().map_err(io::Error::other)?;
     Ok(GlossPicture {
         file,
-        scales: [largest.x, largest.y],
+        scales: largest.to_array(),
     })
 }
 

@@ -91,6 +91,11 @@ impl GlossTexture {
         &self.parts
     }
 
+    /// Whether parts reflect in different colours.
+    pub fn is_coloured(&self) -> bool {
+        !self.parts.iter().all(|gloss| Gloss::is_white(&gloss.tint))
+    }
+
     /// The least roughness of what reflects at all, as a multiple of the main one.
     pub fn narrowest(&self) -> f32 {
         self.roughness[0]

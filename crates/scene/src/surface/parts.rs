@@ -3,7 +3,7 @@
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
-use crate::reflectance::Gloss;
+use crate::reflectance::{Gloss, MOST_OF_DIELECTRIC};
 use glam::Vec3;
 
 /// Points that have a say in what lies between them.
@@ -43,6 +43,33 @@ impl GlossParts {
             contrast,
             scale,
             points: RTree::bulk_load(placed.collect()),
+        }
+    }
+
+    /// The gloss that reflects least, of a surface that others reflect so much more of than a dielectric beside another can that they are
+    /// metals.
+    pub fn beside_metals(&self) -> Option<Gloss> {
+        let reflecting = self.glosses.iter().filter(|gloss| gloss.strength > 0.0);
+        let weakest = reflecting
+            .clone()
+            .min_by(|a, b| a.strength.total_cmp(&b.strength))?;
+        let strongest = reflecting.map(|gloss| gloss.strength).fold(0.0, f32::max);
+        (strongest > MOST_OF_DIELECTRIC * weakest.strength).then_some(*weakest)
+    }
+
+    /// The same parts where another gloss is the main one.
+    #[must_use]
+    pub fn beside(&self, main: Gloss) -> Self {
+        let glosses = self.glosses.iter().map(|gloss| gloss.beside(main));
+        self.with(glosses.collect())
+    }
+
+    /// The same parts with other glosses.
+    #[must_use]
+    pub fn with(&self, glosses: Vec<Gloss>) -> Self {
+        Self {
+            glosses,
+            ..self.clone()
         }
     }
 

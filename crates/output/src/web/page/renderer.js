@@ -324,7 +324,7 @@ class Renderer {
     gl.uniform1i(places.stored, this.stored ? 1 : 0);
     gl.uniform1f(places.texture_scale, this.stored ? scene.textures.diffuse : scene.textures.albedo);
     gl.uniform1i(places.has_gloss, scene.textures.gloss ? 1 : 0);
-    gl.uniform2fv(places.gloss_scale, scene.textures.gloss ?? [1, 1]);
+    gl.uniform4fv(places.gloss_scale, scene.textures.gloss ?? [1, 1, 1, 1]);
     gl.uniform3fv(places.ambient, this.ambient);
     gl.uniform1i(places.model, scene.brdf.model);
     gl.uniform1f(places.main_sigma, scene.brdf.sigma);

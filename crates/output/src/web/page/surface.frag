@@ -21,7 +21,7 @@ uniform bool moving;
 uniform bool stored;
 uniform float texture_scale;
 uniform bool has_gloss;
-uniform vec2 gloss_scale;
+uniform vec4 gloss_scale;
 uniform vec3 eye;
 uniform vec3 ambient;
 uniform int model;
@@ -51,6 +51,16 @@ float fresnel(float c) {
     float a = (g - c) / (g + c);
     float b = (c * (g + c) - 1.0) / (c * (g - c) + 1.0);
     return 0.5 * a * a * (1.0 + b * b);
+}
+
+// Fresnel factor on facets, 1 at normal incidence: what reflects more there than a usual dielectric rises less.
+float fresnel_factor(float c) {
+    if (model == METAL) {
+        return 1.0;
+    }
+    float reflected = min(max(strength, 1.0) * NORMAL_FRESNEL, 1.0);
+    float rise = (1.0 - reflected) / reflected * (NORMAL_FRESNEL / (1.0 - NORMAL_FRESNEL));
+    return mix(1.0, fresnel(c) / NORMAL_FRESNEL, rise);
 }
 
 float masking(float c) {
@@ -146,8 +156,7 @@ float lobe(vec3 n, vec3 view, float scale, vec3 light, float spread) {
     if (model == PAPER) {
         return height * density;
     }
-    float fresnel_factor = model == METAL ? 1.0 : fresnel(0.5 / inverse_length) / NORMAL_FRESNEL;
-    return height * density * fresnel_factor * masking(max(cos_light, 1e-4)) / (cos_squared * cos_squared);
+    return height * density * fresnel_factor(0.5 / inverse_length) * masking(max(cos_light, 1e-4)) / (cos_squared * cos_squared);
 }
 
 vec2 spiral(int i) {
@@ -224,14 +233,16 @@ void main() {
     // Towards the side that the triangle's corners say, whichever is seen.
     face_normal *= (dot(face_normal, view) < 0.0) == gl_FrontFacing ? -1.0 : 1.0;
     float roughness = 1.0;
-    float part = 1.0;
+    vec3 part = vec3(1.0);
+    float mean_part = 1.0;
     if (has_gloss) {
-        vec2 gloss = texture(gloss_texture, uv).rg * gloss_scale;
-        part = gloss.y;
-        roughness = LEAST_GLOSS_ROUGHNESS * exp(gloss.x / max(gloss.y, 1e-6));
+        vec4 gloss = texture(gloss_texture, uv) * gloss_scale;
+        part = gloss.rgb;
+        mean_part = dot(part, vec3(1.0 / 3.0));
+        roughness = LEAST_GLOSS_ROUGHNESS * exp(gloss.a / max(mean_part, 1e-6));
     }
     sigma = main_sigma * roughness;
-    strength = main_strength * part;
+    strength = main_strength * mean_part;
     float cos_view = max(dot(n, view), MIN_COS_VIEW);
     float scale = (model == PAPER || model == NO_LOBE ? 1.0 : masking(cos_view)) / cos_view;
     vec3 specular = vec3(0.0);
