@@ -469,31 +469,7 @@ impl Solution {
             },
         );
         let mesh = mesh.map_err(|what| damaged("mesh.ply", what))?;
-        let gray = |name: &str| {
-            exr_file::read_gray(&folder.join(name), width, height)
-                .map_err(|what| damaged(name, what))
-        };
-        let gloss = match manifest.sigma.filter(|_| !manifest.gloss_parts.is_empty()) {
-            Some(sigma) => {
-                let parts = manifest.gloss_parts.iter();
-                let is_coloured = parts.clone().any(|part| !Gloss::is_white(&part.tint));
-                let scales = if is_coloured {
-                    rgb(STRENGTH)?
-                } else {
-                    gray(STRENGTH)?.into_iter().map(|s| [s; 3]).collect()
-                };
-                let gloss = |(roughness, scale): (f32, Vec3)| {
-                    let least = MIN_GLOSS_ROUGHNESS;
-                    let roughness = roughness.clamp(least, least.recip());
-                    Gloss::new(roughness, 0.0).reflecting(scale.max(Vec3::ZERO))
-                };
-                let parts = parts.map(|part| gloss((part.roughness, part.scale())));
-                let texels = (gray(ROUGHNESS)?.into_iter().zip(scales))
-                    .map(|(own, scale)| gloss((own / sigma, scale.into())));
-                Some(GlossTexture::new(parts.collect(), texels.collect()))
-            }
-            None => None,
-        };
+        let gloss = read_gloss(folder, &manifest).map_err(|(file, what)| damaged(file, what))?;
         let brdf = stored_lobe(&manifest);
         let origin = mesh.mesh.origin;
         grid.centre = (DVec3::from(manifest.hemisphere.centre) - origin).as_vec3();
@@ -798,6 +774,38 @@ fn read_nodes(
         radiance[i as usize] = r;
     }
     Ok((radiance, nodes.lights))
+}
+
+/// The gloss of every texel, where parts of the surface differ; or the file that is damaged, and what is wrong with it.
+fn read_gloss(
+    folder: &Path,
+    manifest: &Manifest,
+) -> std::result::Result<Option<GlossTexture>, (&'static str, String)> {
+    let Some(sigma) = manifest.sigma.filter(|_| !manifest.gloss_parts.is_empty()) else {
+        return Ok(None);
+    };
+    let (width, height) = (manifest.texture.width, manifest.texture.height);
+    let gray = |name: &'static str| {
+        let read = exr_file::read_gray(&folder.join(name), width, height);
+        read.map_err(|what| (name, what))
+    };
+    let parts = manifest.gloss_parts.iter();
+    let is_coloured = parts.clone().any(|part| !Gloss::is_white(&part.tint));
+    let scales = if is_coloured {
+        let read = exr_file::read_rgb(&folder.join(STRENGTH), width, height);
+        read.map_err(|what| (STRENGTH, what))?
+    } else {
+        gray(STRENGTH)?.into_iter().map(|s| [s; 3]).collect()
+    };
+    let gloss = |(roughness, scale): (f32, Vec3)| {
+        let least = MIN_GLOSS_ROUGHNESS;
+        let roughness = roughness.clamp(least, least.recip());
+        Gloss::new(roughness, 0.0).reflecting(scale.max(Vec3::ZERO))
+    };
+    let parts = parts.map(|part| gloss((part.roughness, part.scale())));
+    let texels = (gray(ROUGHNESS)?.into_iter().zip(scales))
+        .map(|(own, scale)| gloss((own / sigma, scale.into())));
+    Ok(Some(GlossTexture::new(parts.collect(), texels.collect())))
 }
 
 /// The main lobe: of the strength that was found where the light was given.

@@ -394,7 +394,7 @@ fn a_glb_reads_back_as_the_object_in_its_light() {
 
 #[test]
 fn parts_of_metal_keep_their_colour_in_other_programs() {
-    let mut solution = (*fixtures::solution()).clone();
+    let mut solution = Arc::into_inner(fixtures::solution()).unwrap();
     solution.brdf = Some(Brdf::new(SpecularModel::Ggx, 0.1));
     let metal = Gloss::new(0.5, 10.0).reflecting(Vec3::new(15.0, 10.0, 5.0));
     let mut texels = vec![Gloss::MAIN; solution.atlas.len()];
