@@ -13,6 +13,8 @@ const MIN_COS_VIEW: f32 = 1e-3;
 const REFRACTIVE_INDEX: f32 = 1.5;
 const NORMAL_FRESNEL: f32 = 0.04;
 const USUAL_METAL: f32 = 0.5;
+/// How many times as much as a usual dielectric one reflects at most.
+const MOST_OF_DIELECTRIC: f32 = 4.0;
 /// Exponent beyond which a lobe is nothing: 1e-5 of its peak.
 const CUT_EXPONENT: f32 = 11.5;
 
@@ -41,12 +43,13 @@ fn fresnel(c: f32) -> f32 {
     return 0.5 * a * a * (1.0 + b * b);
 }
 
-/// Fresnel factor on facets, 1 at normal incidence: what reflects more there than a usual dielectric rises less.
+/// Fresnel factor on facets, 1 at normal incidence: that of metals beside dielectrics rises less.
 fn fresnel_factor(brdf: Brdf, c: f32) -> f32 {
     if (brdf.model == METAL) {
         return 1.0;
     }
-    let reflected = min(max(brdf.strength, 1.0) * NORMAL_FRESNEL, 1.0);
+    let strength = select(1.0, brdf.strength, brdf.strength > MOST_OF_DIELECTRIC);
+    let reflected = min(strength * NORMAL_FRESNEL, 1.0);
     let rise = (1.0 - reflected) / reflected * (NORMAL_FRESNEL / (1.0 - NORMAL_FRESNEL));
     return mix(1.0, fresnel(c) / NORMAL_FRESNEL, rise);
 }

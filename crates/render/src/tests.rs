@@ -306,7 +306,7 @@ fn settled_pictures_are_the_reference_renderers() {
 fn patched(brdf: Brdf) -> Solution {
     let mut solution = solved(Some(brdf), None);
     let atlas = &solution.atlas;
-    let coloured = Gloss::new(0.5, 1.3).reflecting(Vec3::new(1.9, 1.3, 0.7));
+    let coloured = Gloss::new(0.5, 6.5).reflecting(Vec3::new(9.5, 6.5, 3.5));
     let parts = [coloured, Gloss::new(1.0, 0.0), Gloss::new(1.5, 0.8)];
     let mut texels = vec![Gloss::MAIN; atlas.len()];
     for t in &atlas.texels {
@@ -353,7 +353,7 @@ fn parts_of_other_gloss_are_the_reference_renderers() {
                 1.0
             })
         };
-        let strength = |t, b| Vec3::splat(gloss(t, b).strength / 1.3);
+        let strength = |t, b| Vec3::splat(gloss(t, b).strength / 6.5);
         let cases: [(Mode, Value, f32); 2] = [
             (Mode::Roughness, &roughness, 0.02),
             (Mode::Strength, &strength, 0.02),

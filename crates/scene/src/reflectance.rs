@@ -273,10 +273,10 @@ impl Brdf {
     }
 
     /// How much the Fresnel factor rises towards grazing angles, as a part of what a usual dielectric's does: whatever is reflected at
-    /// normal incidence, all is at the last, so the factor, which is 1 there, rises by (1 − F₀)/F₀. One for weaker surfaces too.
+    /// normal incidence, all is at the last, so the factor, which is 1 there, rises by (1 − F₀)/F₀ of a metal beside dielectrics.
     #[inline(always)]
     pub fn rise(&self) -> f32 {
-        if !self.model.is_dielectric() || self.strength <= 1.0 {
+        if !self.model.is_dielectric() || !self.is_metal() {
             return 1.0;
         }
         let reflected = (self.strength * NORMAL_FRESNEL).min(1.0);

@@ -38,6 +38,7 @@ const int NO_LOBE = 4;
 const float MIN_COS_VIEW = 1e-3;
 const float REFRACTIVE_INDEX = 1.5;
 const float NORMAL_FRESNEL = 0.04;
+const float MOST_OF_DIELECTRIC = 4.0;
 const float CUT_EXPONENT = 11.5;
 const float LEAST_GLOSS_ROUGHNESS = 0.01;
 const float LARGEST = 6e4;
@@ -53,12 +54,12 @@ float fresnel(float c) {
     return 0.5 * a * a * (1.0 + b * b);
 }
 
-// Fresnel factor on facets, 1 at normal incidence: what reflects more there than a usual dielectric rises less.
+// Fresnel factor on facets, 1 at normal incidence: that of metals beside dielectrics rises less.
 float fresnel_factor(float c) {
     if (model == METAL) {
         return 1.0;
     }
-    float reflected = min(max(strength, 1.0) * NORMAL_FRESNEL, 1.0);
+    float reflected = min((strength > MOST_OF_DIELECTRIC ? strength : 1.0) * NORMAL_FRESNEL, 1.0);
     float rise = (1.0 - reflected) / reflected * (NORMAL_FRESNEL / (1.0 - NORMAL_FRESNEL));
     return mix(1.0, fresnel(c) / NORMAL_FRESNEL, rise);
 }
