@@ -8,7 +8,7 @@
 //! | `hemispheres/*.exr` | initial hemisphere and those of single views, seen from above |
 //! | `cameras.json` | from where the photographs were taken, as a `transforms.json` without photographs |
 //! | `mesh.ply`, `mesh.obj` | the surface with texture coordinates |
-//! | `roughness.exr`, `specular_strength.exr` | where parts differ in gloss: σ in radians, and strength as a multiple of the main lobe's |
+//! | `roughness.exr`, `specular_strength.exr` | where parts differ in gloss: σ in radians, and strength as a multiple of the main lobe's, RGB where parts reflect in different colours |
 //! | `diffuse.exr`, `albedo.exr`, `confidence.exr` | textures: diffuse radiance, pseudo-albedo, how far each texel is known |
 //!
 //! ```no_run
