@@ -86,7 +86,7 @@ pub fn separate(
         Ambient::Sought => {
             // Metals have no diffuse part that could show any.
             let shows = |t| f32::from(!scene.is_metal(t)) * confidence[t];
-            let shown = scene.has_metals().then(|| lit_by(&shows));
+            let shown = scene.has_metals_beside().then(|| lit_by(&shows));
             let shown = shown.as_ref().unwrap_or(&lit);
             let added = ambient_beside((scene, atlas), &places, texture, (&irradiance, shown));
             for texel in &atlas.texels {

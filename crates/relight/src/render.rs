@@ -67,10 +67,11 @@ impl Scene<'_> {
         })
     }
 
-    /// Whether parts of the surface are metals, or all of it.
-    pub(super) fn has_metals(&self) -> bool {
+    /// Whether parts of the surface are metals, and not all of it.
+    pub(super) fn has_metals_beside(&self) -> bool {
         let strongest = self.gloss.map_or(1.0, |map| map.texture.strongest());
-        (self.brdf).is_some_and(|brdf| brdf.at(Gloss::new(1.0, strongest)).is_metal())
+        let strongest = Gloss::new(1.0, strongest);
+        (self.brdf).is_some_and(|main| main.has_metal_beside(&main.at(strongest)))
     }
 
     /// Whether the surface is a metal at a texel.

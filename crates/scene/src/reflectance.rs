@@ -256,6 +256,11 @@ impl Brdf {
             || self.model.is_dielectric() && self.strength > MOST_OF_DIELECTRIC
     }
 
+    /// Whether a part's lobe is a metal's where this, the main one, is not.
+    pub fn has_metal_beside(&self, part: &Self) -> bool {
+        !self.is_metal() && part.is_metal()
+    }
+
     /// The terms of a lobe seen from the unit direction `view` on a surface with the unit `normal`.
     pub fn view_terms(&self, normal: Vec3, view: Vec3) -> ViewTerms {
         let cos_normal = normal.dot(view);

@@ -1149,6 +1149,9 @@ mod tests {
             assert_eq!(found.is_coloured(), version == 3);
             for (k, found) in found.texels().iter().enumerate() {
                 assert!((found.roughness / gloss(k).roughness - 1.0).abs() < 1e-5);
+                if Gloss::is_white(&gloss(k).tint) {
+                    assert_eq!((found.strength, found.tint), (gloss(k).strength, [1.0; 3]));
+                }
                 let off = found.scale() - gloss(k).scale();
                 assert!(off.abs().max_element() < 1e-5, "{off}");
             }

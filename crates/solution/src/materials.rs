@@ -79,9 +79,10 @@ impl Solution {
         }
         let roughness = part.roughness();
         let is_main = Some(part.brdf) == self.brdf;
-        let is_metal_beside =
-            part.brdf.is_metal() && !self.brdf.is_some_and(|main| main.is_metal());
-        let metal = if is_metal_beside { "metal of " } else { "" };
+        let is_metal = self
+            .brdf
+            .is_some_and(|main| main.has_metal_beside(&part.brdf));
+        let metal = if is_metal { "metal of " } else { "" };
         // Writing into a string can't fail.
         let mut text = format!("{metal}roughness {roughness:.2}");
         if is_main && let Some([low, high]) = self.sigma_interval95 {

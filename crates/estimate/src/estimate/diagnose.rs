@@ -10,7 +10,7 @@ use super::state::State;
 use super::suspects::{Suspect, Suspicion, determines_roughness};
 use super::weights::median;
 use rekindle_capture::{Capture, View};
-use rekindle_scene::reflectance::{Gloss, SpecularModel};
+use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
 use rekindle_scene::surface::GlossParts;
 
 /// What parts of the surface differ in gloss, to follow the reason for a lobe.
@@ -25,12 +25,18 @@ pub fn parts(parts: &GlossParts, sigma: f32) -> String {
         }
     };
     let named: Vec<String> = parts.glosses.iter().enumerate().map(named).collect();
-    let mut text = format!("; the gloss differs: {} of the surface", named.join(", "));
-    if parts.beside_metals().is_some() {
-        text += "; what reflects least is taken for a dielectric, which has the colour of the light, and what reflects so much more for \
-            metal";
+    format!("; the gloss differs: {} of the surface", named.join(", "))
+}
+
+/// What is taken for granted where parts are metals beside the main lobe, or reflect in colours of their own; to follow the former.
+pub fn metals(parts: &GlossParts, main: &Brdf) -> &'static str {
+    let mut glosses = parts.glosses.iter();
+    let is_metal = |gloss: &Gloss| main.has_metal_beside(&main.at(*gloss));
+    if glosses.any(|gloss| is_metal(gloss) || !Gloss::is_white(&gloss.tint)) {
+        "; what reflects least is taken for a dielectric, which has the colour of the light, and what reflects so much more for metal"
+    } else {
+        ""
     }
-    text
 }
 
 /// A specular model in words.

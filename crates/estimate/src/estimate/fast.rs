@@ -281,6 +281,12 @@ impl<'a> Solver<'a> {
     }
 }
 
+/// A state at whose σ the lights are, and the last step of σ, which has not been taken.
+struct Settled<'s> {
+    state: State<'s>,
+    step: SigmaStep,
+}
+
 impl Solver<'_> {
     /// See [`Turning::is_provisional`].
     pub fn is_provisional(&self) -> bool {
@@ -435,18 +441,15 @@ impl Solver<'_> {
             }
         }
         go_on(watch.observer.progress("settling the roughness", 0.8))?;
-        let mut state = self.on_points(&state, &all);
-        let step = self.settle(&mut state, watch)?;
-        self.with_parts(state, &step, &all, GLOSS_ROUNDS, watch)
+        let settled = self.settled_on(&state, &all, watch)?;
+        self.with_parts(settled, GLOSS_ROUNDS, watch)
     }
 
     /// The fit of a settled state, after `rounds` in which the surface's parts and the lights take turns where some parts are
     /// glossier than others.
     fn with_parts(
         &self,
-        state: State<'_>,
-        step: &SigmaStep,
-        observations: &Observations,
+        settled: Settled<'_>,
         rounds: usize,
         watch: &mut Watch<'_>,
     ) -> Result<Fit, Stopped> {
@@ -454,17 +457,18 @@ impl Solver<'_> {
         let is_even = self.first.is_some_and(|first| first.parts.is_none());
         let is_stated = self.sigma.is_some();
         let found = if rounds > 0 && !is_even && !is_stated && !self.is_provisional() {
-            self.gloss_parts(&state, [SURE])
+            self.gloss_parts(&settled.state, [SURE])
         } else {
             None
         };
-        let settled = |parts: &GlossParts| {
+        let are_same = |parts: &GlossParts| {
             let before = self.seen.parts;
             before.is_some_and(|before| parts.difference(before) < SAME_GLOSS)
         };
-        let Some((parts, main)) = found.filter(|(parts, _)| !settled(parts)) else {
-            return self.with_metals(state, step, observations, watch);
+        let Some((parts, main)) = found.filter(|(parts, _)| !are_same(parts)) else {
+            return self.with_metals(settled, watch);
         };
+        let state = &settled.state;
         let parted = self.parted(&parts);
         let with_main = state.with_main(main);
         // That there are parts at all has to be shown once.
@@ -475,59 +479,59 @@ impl Solver<'_> {
                 &left_out(self, &self.dark_roots(state.brdf)),
             )
         {
-            return self.finish(state, step, observations, watch);
+            return self.finish(settled, watch);
         }
-        let observations = observations.of_parts(&parts);
-        let mut state = parted.on_points(&with_main, &observations);
-        let step = parted.settle(&mut state, watch)?;
-        parted.with_parts(state, &step, &observations, rounds - 1, watch)
+        let observations = state.design.observations.of_parts(&parts);
+        let settled = parted.settled_on(&with_main, &observations, watch)?;
+        parted.with_parts(settled, rounds - 1, watch)
     }
 
     /// The same where the parts are known. Where some reflect as metals do beside others the latter are dielectrics, if these lobes leave less.
-    fn with_metals(
-        &self,
-        state: State<'_>,
-        step: &SigmaStep,
-        observations: &Observations,
-        watch: &mut Watch<'_>,
-    ) -> Result<Fit, Stopped> {
+    fn with_metals(&self, settled: Settled<'_>, watch: &mut Watch<'_>) -> Result<Fit, Stopped> {
+        let state = &settled.state;
         let dielectric = self.seen.parts.and_then(GlossParts::beside_metals);
         let is_free = !self.is_lobe_asked_for || state.brdf.model == SpecularModel::Ggx;
         let Some((parts, main)) = self.seen.parts.zip(dielectric).filter(|_| is_free) else {
-            return self.with_tints(state, step, observations, watch);
+            return self.with_tints(settled, watch);
         };
         let parts = parts.beside(main);
         let beside = self.parted(&parts);
-        let with_glosses = observations.of_parts(&parts);
+        let observations = state.design.observations.of_parts(&parts);
         let mut with_main = state.with_main(main);
         with_main.brdf.model = SpecularModel::Ggx;
-        let mut mixed = beside.on_points(&with_main, &with_glosses);
-        let mixed_step = beside.settle(&mut mixed, watch)?;
+        let mixed = beside.settled_on(&with_main, &observations, watch)?;
         // No metal reflects so much less than another.
         let is_metal = state.brdf.model == SpecularModel::Metal;
-        if is_metal || mixed.residuals.absolute_sum() < state.residuals.absolute_sum() {
-            beside.with_tints(mixed, &mixed_step, &with_glosses, watch)
+        let left = |state: &State<'_>| state.residuals.absolute_sum();
+        if is_metal || left(&mixed.state) < left(state) {
+            beside.with_tints(mixed, watch)
         } else {
-            self.with_tints(state, step, observations, watch)
+            self.with_tints(settled, watch)
         }
     }
 
     /// The same after the lights are told in the colours that the parts reflect in, where these differ.
-    fn with_tints(
-        &self,
-        state: State<'_>,
-        step: &SigmaStep,
-        observations: &Observations,
-        watch: &mut Watch<'_>,
-    ) -> Result<Fit, Stopped> {
-        let Some((parts, main)) = self.tinted_parts(&state) else {
-            return self.finish(state, step, observations, watch);
+    fn with_tints(&self, settled: Settled<'_>, watch: &mut Watch<'_>) -> Result<Fit, Stopped> {
+        let state = &settled.state;
+        let Some((parts, main)) = self.tinted_parts(state) else {
+            return self.finish(settled, watch);
         };
         let tinted = self.parted(&parts);
-        let observations = observations.of_parts(&parts);
-        let mut state = tinted.on_points(&state.with_main(main), &observations);
-        let step = tinted.settle(&mut state, watch)?;
-        tinted.finish(state, &step, &observations, watch)
+        let observations = state.design.observations.of_parts(&parts);
+        let settled = tinted.settled_on(&state.with_main(main), &observations, watch)?;
+        tinted.finish(settled, watch)
+    }
+
+    /// The lights of a state settled on other points.
+    fn settled_on<'s>(
+        &'s self,
+        state: &State<'_>,
+        observations: &'s Observations,
+        watch: &mut Watch<'_>,
+    ) -> Result<Settled<'s>, Stopped> {
+        let mut state = self.on_points(state, observations);
+        let step = self.settle(&mut state, watch)?;
+        Ok(Settled { state, step })
     }
 
     /// Lights and roughness on single nodes and all points, and the last step of σ.
@@ -544,17 +548,13 @@ impl Solver<'_> {
     }
 
     /// The fit of a settled state, whose lights are made as even and as few as the rows allow.
-    fn finish(
-        &self,
-        mut state: State<'_>,
-        step: &SigmaStep,
-        observations: &Observations,
-        watch: &mut Watch<'_>,
-    ) -> Result<Fit, Stopped> {
+    fn finish(&self, settled: Settled<'_>, watch: &mut Watch<'_>) -> Result<Fit, Stopped> {
+        let Settled { mut state, step } = settled;
+        let observations = state.design.observations;
         let widened = step.clustered_error / step.error;
         let by_noise = match self.sigma {
             Some(_) => 0.0,
-            None => state.settle_sigma(step, EXACT),
+            None => state.settle_sigma(&step, EXACT),
         };
         drop_satellites(&mut state);
         drop_unsupported_in_the_end(&mut state);

@@ -478,7 +478,7 @@ impl<'a> Board<'a> {
             return None;
         }
         let parts = self.walk(kinds, &self.evidence);
-        let inside = self.bonds.inside(&parts);
+        let inside = self.bonds.inside(&parts, |&(near, _)| near);
         let glosses = refined(lit, &parts, &inside, kinds);
         // The one that explains most.
         let explained = |k: usize| -> f64 {

@@ -709,6 +709,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
     result.brdf = Some(fit.brdf);
     if let Some(parts) = &fit.parts {
         result.chosen_because += &diagnose::parts(parts, sigma);
+        result.chosen_because += diagnose::metals(parts, &fit.brdf);
     }
     result.grid = grid;
     result.radiance = fit.nodes;

@@ -44,29 +44,12 @@ impl<T> Lists<T> {
     }
 }
 
-/// An entry of a list that names a neighbour.
-pub trait Named {
-    /// Its place among all points.
-    fn place(&self) -> usize;
-}
-
-impl Named for u32 {
-    fn place(&self) -> usize {
-        *self as usize
-    }
-}
-
-impl Named for (u32, f32) {
-    fn place(&self) -> usize {
-        self.0 as usize
-    }
-}
-
-impl<T: Named> Lists<T> {
+impl<T> Lists<T> {
     /// Which points lie inside their parts, all neighbours being of the same: along borders it is not sure which one a point is of. All points
-    /// of a part that has few inside do.
-    pub fn inside(&self, parts: &[usize]) -> Vec<bool> {
-        let is_inside = |i: usize| self[i].iter().all(|near| parts[near.place()] == parts[i]);
+    /// of a part that has few inside do. `place` says which point an entry names.
+    pub fn inside(&self, parts: &[usize], place: impl Fn(&T) -> u32) -> Vec<bool> {
+        let is_of = |near: &T, part: usize| parts[place(near) as usize] == part;
+        let is_inside = |i: usize| self[i].iter().all(|near| is_of(near, parts[i]));
         let mut inside: Vec<bool> = (0..parts.len()).map(is_inside).collect();
         let count = parts.iter().max().map_or(0, |most| most + 1);
         let mut points = vec![[0_usize; 2]; count];

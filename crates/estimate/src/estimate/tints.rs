@@ -143,7 +143,7 @@ impl<'a> Shown<'a> {
             measured: eliminated(rows.map(|row| row.radiance).collect()),
             predicted: (0..count).map(by_light).collect(),
             weights: weights.collect(),
-            inside: Neighbours::of(points).inside(&parts),
+            inside: Neighbours::of(points).inside(&parts, |&near| near),
             observations,
         }
     }
@@ -219,14 +219,19 @@ impl<'a> Shown<'a> {
         of_pair.collect()
     }
 
-    /// How much more clearly than by chance a colour for each of two parts explains views that had no say in it better than one for both.
-    fn differ(&self, pair: [usize; 2]) -> f64 {
+    /// What views say of each part under each light where some are left out in turn.
+    fn folds(&self) -> Vec<Vec<Vec<Told>>> {
         let views = self.observations.rows.iter().map(|row| row.view + 1).max();
         let turns = views.unwrap_or(0).min(FOLDS);
+        let without = |turn: usize| self.told(|view| view % turns != turn);
+        (0..turns).map(without).collect()
+    }
+
+    /// How much more clearly than by chance a colour for each of two parts explains views that had no say in it better than one for both.
+    fn differ(&self, pair: [usize; 2], folds: &[Vec<Vec<Told>>]) -> f64 {
         let mut pairs = Vec::new();
-        for turn in 0..turns {
-            let is_judging = |view: usize| view % turns == turn;
-            let told = self.told(|view| !is_judging(view));
+        for (turn, told) in folds.iter().enumerate() {
+            let is_judging = |view: usize| view % folds.len() == turn;
             let lights = 0..self.predicted.len();
             let own = lights.map(|light| pair.map(|part| told[part][light]));
             let own: Vec<[Told; 2]> = own.collect();
@@ -243,6 +248,7 @@ impl<'a> Shown<'a> {
     /// The glosses with the colours of what stronger parts reflect beside the weakest that one differs from, and that.
     fn tinted(&self, glosses: &[Gloss], is_metal: bool) -> Option<(Vec<Gloss>, Gloss)> {
         let told = self.told(|_| true);
+        let folds = self.folds();
         let mut order: Vec<usize> = (0..glosses.len())
             .filter(|&k| glosses[k].strength > 0.0)
             .collect();
@@ -250,7 +256,7 @@ impl<'a> Shown<'a> {
         for (at, &white) in order.iter().enumerate() {
             let differing = order[at + 1..].iter().copied();
             let differing: Vec<usize> = differing
-                .filter(|&part| self.differ([white, part]) > CHANCE)
+                .filter(|&part| self.differ([white, part], &folds) > CHANCE)
                 .collect();
             if differing.is_empty() {
                 continue;
