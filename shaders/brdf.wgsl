@@ -43,12 +43,17 @@ fn fresnel(c: f32) -> f32 {
     return 0.5 * a * a * (1.0 + b * b);
 }
 
+/// Whether it is a metal's, which has no diffuse part to speak of: it reflects more than a dielectric can.
+fn is_metal(brdf: Brdf) -> bool {
+    return brdf.model == METAL || ((brdf.model == BECKMANN || brdf.model == GGX) && brdf.strength > MOST_OF_DIELECTRIC);
+}
+
 /// Fresnel factor on facets, 1 at normal incidence: that of metals beside dielectrics rises less.
 fn fresnel_factor(brdf: Brdf, c: f32) -> f32 {
     if (brdf.model == METAL) {
         return 1.0;
     }
-    let strength = select(1.0, brdf.strength, brdf.strength > MOST_OF_DIELECTRIC);
+    let strength = select(1.0, brdf.strength, is_metal(brdf));
     let reflected = min(strength * NORMAL_FRESNEL, 1.0);
     let rise = (1.0 - reflected) / reflected * (NORMAL_FRESNEL / (1.0 - NORMAL_FRESNEL));
     return mix(1.0, fresnel(c) / NORMAL_FRESNEL, rise);

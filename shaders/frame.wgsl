@@ -65,10 +65,6 @@ struct Frame {
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 
-fn brdf_of_frame() -> Brdf {
-    return Brdf(frame.model, frame.sigma, frame.strength);
-}
-
 fn eye() -> vec3f {
     return vec3f(frame.camera_x.w, frame.camera_y.w, frame.camera_z.w);
 }

@@ -316,10 +316,10 @@ fn mirrored_surface(brdf: Brdf, ray: MirrorRay, hit: Hit) -> vec3f {
         radiance = textureSampleLevel(albedo_texture, linear_sampler, there.uv, 0.0).rgb
             * (textureSampleLevel(irradiance_texture, linear_sampler, there.light_uv, 0.0).rgb + frame.ambient);
     }
-    radiance *= diffuse_exit(brdf_of_frame(), cosine);
-    if (frame.model == METAL) {
+    var gloss = gloss_at(there.uv);
+    radiance *= diffuse_exit(brdf_of(gloss), cosine);
+    if (is_metal(brdf)) {
         // The ray stands for all in its half vector's extent: a lobe as much wider shows no sparks.
-        var gloss = gloss_at(there.uv);
         let wider = length(vec2f(gloss.roughness, ray.extent * brdf.sigma / frame.sigma));
         gloss.roughness = min(wider, 1.0 / frame.sigma);
         radiance += lit(triangles[hit.triangle], hit.weights, there, gloss, -ray.direction).specular;
@@ -333,7 +333,7 @@ fn sky_in_mirror(triangle: Triangle, weights: vec3f, surface: Surface, gloss: Gl
     if (!has_sky()) {
         return vec3f(0.0);
     }
-    let brdf = Brdf(frame.model, frame.sigma * gloss.roughness, frame.strength * gloss.strength);
+    let brdf = brdf_of(gloss);
     let ray = middle_ray(brdf, surface.normal, view);
     let open = vertices[triangle.corners.x].openness * weights.x + vertices[triangle.corners.y].openness * weights.y
         + vertices[triangle.corners.z].openness * weights.z;
@@ -344,7 +344,7 @@ fn sky_in_mirror(triangle: Triangle, weights: vec3f, surface: Surface, gloss: Gl
 /// What light that comes straight from the lamps makes of a point, seen from the unit direction `view`.
 fn lit(triangle: Triangle, weights: vec3f, surface: Surface, gloss: Gloss, view: vec3f) -> Shade {
     read_visibility(triangle, weights, surface);
-    let brdf = Brdf(frame.model, frame.sigma * gloss.roughness, frame.strength * gloss.strength);
+    let brdf = brdf_of(gloss);
     let terms = view_terms(brdf, surface.normal, view);
     var sum = add_lobes(surface, brdf, terms, frame.always, 1.0);
     if (frame.window.y > frame.window.x) {
@@ -402,6 +402,11 @@ fn gloss_at(uv: vec2f) -> Gloss {
     return Gloss(LEAST_GLOSS_ROUGHNESS * exp(stored.a / divisor), strength, tint);
 }
 
+/// The lobe of a part of the surface.
+fn brdf_of(gloss: Gloss) -> Brdf {
+    return Brdf(frame.model, frame.sigma * gloss.roughness, frame.strength * gloss.strength);
+}
+
 /// √α of the lobe, as other programs call roughness; 1 where nothing is reflected.
 fn shown_roughness(gloss: Gloss) -> f32 {
     if (frame.model == NO_LOBE || gloss.strength <= 0.0) {
@@ -435,7 +440,7 @@ fn shade(triangle: Triangle, weights: vec3f) -> vec3f {
         read_visibility(triangle, weights, surface);
         return vec3f(shown_visibility());
     }
-    let brdf = Brdf(frame.model, frame.sigma * gloss.roughness, frame.strength * gloss.strength);
+    let brdf = brdf_of(gloss);
     let view = normalize(eye() - surface.position);
     var sum = lit(triangle, weights, surface, gloss, view);
     let baked = textureSampleLevel(irradiance_texture, linear_sampler, surface.light_uv, 0.0).rgb;

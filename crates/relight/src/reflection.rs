@@ -1,5 +1,5 @@
-//! The surface mirrored in itself: specular reflection of its own diffuse radiance, and where it is a metal, which has no other,
-//! of its specular radiance.
+//! The surface mirrored in itself: specular reflection of its own diffuse radiance, and by what of it is a metal, of its specular
+//! radiance.
 //!
 //! Towards v a point sends R(cos θ_r) · B̄, with B̄ the mean over the lobe of the radiance that the mirrored
 //! directions meet (nothing where they leave the surface) and R the reflectance of the whole lobe. Half vectors are
@@ -31,38 +31,43 @@ const TABLE: usize = 64;
 /// The half vectors of a roughness.
 pub struct Lobe {
     brdf: Brdf,
-    /// Around the normal: towards the view, across, along the normal.
-    half_vectors: Vec<Vec3>,
-    /// How far each of them stands for others, as a multiple of σ: half the radius, of a metal, of its part of all slopes.
-    extents: Vec<f32>,
+    of_dielectric: Vec<HalfVector>,
+    of_metal: Vec<HalfVector>,
     /// R at the cosines 0 to 1.
     reflectance: Vec<f32>,
 }
 
+/// The half vector of a part of all facets.
+struct HalfVector {
+    /// Around the normal: towards the view, across, along the normal.
+    direction: Vec3,
+    /// How far it stands for others, as a multiple of σ: half the radius, of a metal, of its part of all slopes.
+    extent: f32,
+}
+
+impl HalfVector {
+    /// So many of them for all facets of a lobe.
+    fn of(brdf: &Brdf, count: usize) -> Vec<Self> {
+        let nth = |i: usize| {
+            let u = (i as f32 + 0.5) / count as f32;
+            let tan = brdf.facet_slope(u);
+            let (sin, cos) = (i as f32 * GOLDEN_ANGLE).sin_cos();
+            Self {
+                direction: Vec3::new(tan * cos, tan * sin, 1.0).normalize_or(Vec3::Z),
+                // With s = u/(1 − u), facets of the slopes between two such s have the area 2πσ² Δs.
+                extent: (2.0 * count as f32).sqrt().recip() / (1.0 - u),
+            }
+        };
+        (0..count).map(nth).collect()
+    }
+}
+
 impl Lobe {
     pub(super) fn new(brdf: Brdf) -> Self {
-        let rays = if brdf.model.is_dielectric() {
-            RAYS
-        } else {
-            METAL_RAYS
-        };
-        let half_vectors = (0..rays)
-            .map(|i| {
-                let u = (i as f32 + 0.5) / rays as f32;
-                let tan = brdf.facet_slope(u);
-                let (sin, cos) = (i as f32 * GOLDEN_ANGLE).sin_cos();
-                Vec3::new(tan * cos, tan * sin, 1.0).normalize_or(Vec3::Z)
-            })
-            .collect();
-        // With s = u/(1 − u), facets of the slopes between two such s have the area 2πσ² Δs.
-        let extent = |i: usize| {
-            let above = 1.0 - (i as f32 + 0.5) / rays as f32;
-            (2.0 * rays as f32).sqrt().recip() / above
-        };
         let mut lobe = Self {
             brdf,
-            half_vectors,
-            extents: (0..rays).map(extent).collect(),
+            of_dielectric: HalfVector::of(&brdf, RAYS),
+            of_metal: HalfVector::of(&brdf, METAL_RAYS),
             reflectance: Vec::new(),
         };
         lobe.reflectance = (0..TABLE)
@@ -70,7 +75,7 @@ impl Lobe {
                 let cos = (i as f32 / (TABLE - 1) as f32).max(1e-3);
                 let view = Vec3::new((1.0 - cos * cos).max(0.0).sqrt(), 0.0, cos);
                 let (mut sum, mut total) = (0.0, 0.0);
-                lobe.each((1.0, 0.0), Vec3::Z, view, |_, weight, passes, _| {
+                lobe.each((Gloss::MAIN, 0.0), Vec3::Z, view, |_, weight, passes, _| {
                     sum += weight * passes;
                     total += weight;
                 });
@@ -88,29 +93,40 @@ impl Lobe {
         self.reflectance[low] * (1.0 - t) + self.reflectance[low + 1] * t
     }
 
-    /// Calls `add(l, weight, part passed on, extent)` for all mirrored directions l of a view, where the lobe has this multiple of
-    /// the main roughness and its half vectors are turned about the normal by this angle; the extent is that of the half vector as
-    /// a multiple of the main roughness.
+    /// Calls `add(l, weight, part passed on, extent)` for all mirrored directions l of a view, where the lobe is a part's and its
+    /// half vectors are turned about the normal by this angle; the extent is that of the half vector as a multiple of the main
+    /// roughness.
     fn each(
         &self,
-        (roughness, turn): (f32, f32),
+        (gloss, turn): (Gloss, f32),
         normal: Vec3,
         view: Vec3,
         mut add: impl FnMut(Vec3, f32, f32, f32),
     ) {
         let turn = Vec2::from_angle(turn);
         let frame = facing_frame(normal, view);
-        for (local, extent) in self.half_vectors.iter().zip(&self.extents) {
-            let wider = roughness * turn.rotate(local.truncate());
-            let local = wider.extend(local.z).normalize_or(Vec3::Z);
+        let part = self.brdf.at(gloss);
+        let half_vectors = if part.is_metal() {
+            &self.of_metal
+        } else {
+            &self.of_dielectric
+        };
+        for HalfVector { direction, extent } in half_vectors {
+            let wider = gloss.roughness * turn.rotate(direction.truncate());
+            let local = wider.extend(direction.z).normalize_or(Vec3::Z);
             let half = frame * local;
             let cos_between = view.dot(half);
             if cos_between <= 0.0 {
                 continue;
             }
             let light = half * (2.0 * cos_between) - view;
-            let passes = self.brdf.facet_reflectance(normal.dot(light), cos_between);
-            add(light, cos_between / local.z, passes, roughness * extent);
+            let passes = part.facet_reflectance(normal.dot(light), cos_between);
+            add(
+                light,
+                cos_between / local.z,
+                passes,
+                gloss.roughness * extent,
+            );
         }
     }
 }
@@ -214,14 +230,15 @@ impl<'a> Surroundings<'a> {
         lamps + shader.specular_of_sky_in_mirror(&point, view)
     }
 
-    /// Whether what is mirrored is specular too.
-    pub(super) fn are_metal(&self) -> bool {
-        !self.interreflection.lobe.brdf.model.is_dielectric()
+    /// Whether what a part of this gloss mirrors is specular too: it is a metal's.
+    pub(super) fn is_metal(&self, gloss: Gloss) -> bool {
+        self.interreflection.lobe.brdf.at(gloss).is_metal()
     }
 
     /// Whether a place lies in a hollow of a metal, which is full of light that comes by way of several others.
-    pub fn is_hollow(&self, mesh: &Mesh, (triangle, barycentric): (u32, Vec2)) -> bool {
-        self.are_metal() && self.interreflection.openness(mesh, triangle, barycentric) < HOLLOW
+    pub fn is_hollow(&self, scene: &Scene, (triangle, barycentric): (u32, Vec2)) -> bool {
+        let open = || (self.interreflection).openness(scene.mesh, triangle, barycentric);
+        self.is_metal(scene.gloss_at(triangle, barycentric)) && open() < HOLLOW
     }
 
     /// Diffuse radiance of the surface towards normal incidence.
@@ -260,7 +277,7 @@ impl<'a> Surroundings<'a> {
     ) -> Vec3 {
         let Scene { mesh, occluder, .. } = *scene;
         let lobe = &self.interreflection.lobe;
-        let is_metal = self.are_metal();
+        let is_metal = self.is_metal(point.gloss);
         let turn = if is_metal {
             pixel as f32 * GOLDEN_ANGLE
         } else {
@@ -270,7 +287,7 @@ impl<'a> Surroundings<'a> {
         let mut rays: SmallVec<[(Vec3, f32, f32); METAL_RAYS]> = SmallVec::new();
         let mut total = 0.0;
         lobe.each(
-            (point.gloss.roughness, turn),
+            (point.gloss, turn),
             point.normal,
             view,
             |light, weight, passes, extent| {
@@ -286,8 +303,9 @@ impl<'a> Surroundings<'a> {
         occluder.each_hit(origin, rays, |&(light, weight, extent), hit| {
             let Some(hit) = hit else { return };
             if let Some(cos) = exit_cosine(mesh, hit.triangle, hit.barycentric, light) {
+                let gloss = scene.gloss_at(hit.triangle, hit.barycentric);
                 sum += self.radiance(mesh, hit.triangle, hit.barycentric)
-                    * (weight * lobe.brdf.diffuse_exit(cos));
+                    * (weight * lobe.brdf.at(gloss).diffuse_exit(cos));
                 if is_metal {
                     let place = (hit.triangle, hit.barycentric);
                     sum += weight * self.specular(scene, shader, place, (-light, extent));

@@ -462,20 +462,27 @@ impl Tile<'_> {
             })
         };
         // Highlights in what a metal mirrors are narrow, and a picture would show that they were interpolated.
-        let all_cast = surroundings.are_metal() && self.triangles.is_none();
-        let is_coarse = |&i: &usize| all_cast || is_coarse([i % width, i / width], [width, height]);
+        let is_metal = |i: usize| {
+            let main = mains[i].as_ref();
+            main.is_some_and(|point| surroundings.is_metal(point.gloss))
+        };
+        let is_cast = |&i: &usize| {
+            let all_cast = is_metal(i) && self.triangles.is_none();
+            all_cast || is_coarse([i % width, i / width], [width, height])
+        };
         let mut all = vec![Vec3::ZERO; mains.len()];
-        for index in (0..mains.len()).filter(is_coarse) {
+        for index in (0..mains.len()).filter(is_cast) {
             all[index] = cast(index).unwrap_or_default();
         }
-        for index in (0..mains.len()).filter(|i| !is_coarse(i)) {
-            let corners = corners(
+        for index in (0..mains.len()).filter(|i| !is_cast(i)) {
+            let mut corners = corners(
                 mains,
                 [width, height],
                 [index % width, index / width],
                 spacing,
                 self.same_mirror_cos(),
             );
+            corners.retain(|corner| is_metal(corner.0) == is_metal(index));
             let shares: f32 = corners.iter().map(|c| c.1).sum();
             all[index] = if corners.len() >= 3 && shares > 0.5 {
                 let sum: Vec3 = corners
@@ -504,7 +511,8 @@ impl Tile<'_> {
         };
         let thickness = self.footprint * main.position.distance(self.eye);
         let alike = piece.point.normal.dot(main.normal) > self.same_mirror_cos()
-            && piece.point.position.distance(main.position) < 4.0 * thickness;
+            && piece.point.position.distance(main.position) < 4.0 * thickness
+            && surroundings.is_metal(piece.point.gloss) == surroundings.is_metal(main.gloss);
         let mirrored = if alike {
             mirrored
         } else {

@@ -1,28 +1,32 @@
-//! A second look at a metal that mirrors itself.
+//! A second look at a surface of metal, all or in part, that mirrors itself.
+
+use std::borrow::Cow;
 
 use glam::Vec3;
 
 use super::lighting;
-use super::solve::name_lamps;
+use super::solve::{Measured, gloss, name_lamps};
 use rekindle_estimate::estimate::{
     Estimate, EstimateInput, EstimateParams, First, Method, Observer, Stopped, estimate,
 };
-use rekindle_relight::{Interreflection, Scene, Shader, Surroundings};
-use rekindle_scene::reflectance::{Brdf, SpecularModel};
+use rekindle_relight::{GlossMap, Interreflection, Scene, Shader, Surroundings};
+use rekindle_scene::reflectance::Brdf;
+use rekindle_scene::surface::{GlossTexture, MinimumTexture};
 
 /// Directions about the normal in which the rays of a place are cast.
 const TURNS: usize = 2;
 
-/// A second estimate of a metal, from what comes straight from the lights, where that leaves no more unexplained than the first.
-/// Whatever else reflects mirrors too little of itself to change anything. `input` has the surface that the first one holds for.
+/// A second estimate of a surface with metal, from what comes straight from the lights, where that leaves no more unexplained than
+/// the first. Whatever else reflects mirrors too little of itself to change anything. `input` has the surface that the first one holds
+/// for, of which `on` says what was measured and its dark texture.
 pub fn without_mirrored(
     input: &EstimateInput<'_>,
+    on: (&Measured, &MinimumTexture),
     params: &EstimateParams,
     first: Estimate,
     observer: &mut dyn Observer,
 ) -> Result<Estimate, Stopped> {
-    let is_metal = |brdf: &Brdf| brdf.model == SpecularModel::Metal;
-    let Some(brdf) = first.brdf.filter(is_metal) else {
+    let Some(brdf) = first.brdf.filter(|_| first.has_metal()) else {
         return Ok(first);
     };
     let EstimateInput { occluder, .. } = *input;
@@ -37,19 +41,23 @@ pub fn without_mirrored(
     let (lamps, lobe) = (name_lamps(&first, false), (Some(brdf), None));
     let lit = lighting(&first.grid, &first.radiance, &lamps, Vec3::ZERO, lobe);
     let shader = Shader::new(occluder, Some(brdf), &lit);
-    let surroundings = Surroundings::new(&around, None, None);
+    let (atlas, minimum) = (&on.0.atlas, on.1);
+    let texture = gloss(&first, mesh, atlas, minimum);
+    let guess = diffuse_guess(Some(brdf), texture.as_ref(), &minimum.radiance);
+    let guess = guess.as_deref().map(|guess| (atlas, guess));
+    let surroundings = Surroundings::new(&around, guess, None);
     let scene = Scene {
         mesh,
         occluder,
         brdf: Some(brdf),
-        gloss: None,
+        gloss: texture.as_ref().map(|texture| GlossMap { atlas, texture }),
         surroundings: Some(&surroundings),
     };
     // Rays of pixels beside each other complete each other in a picture, but here each place is alone.
     let mirrored = |place, (_, view), number: u32| {
         let turns = (0..TURNS).map(|turn| number as usize + turn);
         let of_turn = |turn| surroundings.reflected(&scene, &shader, place, (view, turn));
-        let is_clear = !surroundings.is_hollow(mesh, place);
+        let is_clear = !surroundings.is_hollow(&scene, place);
         is_clear.then(|| (turns.map(of_turn).sum::<Vec3>() / TURNS as f32).into())
     };
     let mut without = |mirrored| {
@@ -65,7 +73,10 @@ pub fn without_mirrored(
     };
     let mut second = without(&mirrored)?;
     if second.misfit > first.misfit {
-        // Something else is wrong, which the first one did not look for.
+        if !brdf.is_metal() {
+            return Ok(first);
+        }
+        // Something else is wrong, which the first one of a metal did not look for.
         second = without(&|_, _, _| Some([0.0; 3]))?;
     }
     Ok(Estimate {
@@ -73,4 +84,26 @@ pub fn without_mirrored(
         refined: first.refined,
         ..second
     })
+}
+
+/// A first guess at the diffuse texture, of which the surface mirrors a part: its dark texture where it isn't of metal; none where all
+/// of it is.
+pub fn diffuse_guess<'m>(
+    brdf: Option<Brdf>,
+    gloss: Option<&GlossTexture>,
+    dark: &'m [[f32; 3]],
+) -> Option<Cow<'m, [[f32; 3]]>> {
+    let Some(main) = brdf else {
+        return Some(Cow::Borrowed(dark));
+    };
+    let is_metal = |gloss: &_| main.at(*gloss).is_metal();
+    let Some(gloss) = gloss else {
+        return (!main.is_metal()).then_some(Cow::Borrowed(dark));
+    };
+    if !gloss.texels().iter().any(is_metal) {
+        return Some(Cow::Borrowed(dark));
+    }
+    let texels = dark.iter().zip(gloss.texels());
+    let guess = texels.map(|(dark, gloss)| if is_metal(gloss) { [0.0; 3] } else { *dark });
+    Some(Cow::Owned(guess.collect()))
 }

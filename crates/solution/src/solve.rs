@@ -7,7 +7,7 @@ use std::time::Instant;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::mirrored::without_mirrored;
+use super::mirrored::{diffuse_guess, without_mirrored};
 use super::turntable::{SelfLit, lightings};
 use super::{
     Fit, HemispherePicture, KnownLight, LightProbe, Skipped, Solution, SolutionLamp, lighting,
@@ -32,7 +32,7 @@ use rekindle_scene::hemisphere::{
     FromAbove, HemisphereGrid, InitialHemisphere, Lamp, PartialHemisphere, SpecularImage,
     find_lamps, rest,
 };
-use rekindle_scene::reflectance::{Brdf, SpecularModel};
+use rekindle_scene::reflectance::Brdf;
 use rekindle_scene::shortcuts::{LeftOut, Shortcuts};
 use rekindle_scene::surface::{
     Atlas, GlossTexture, MinimumTexture, Occluder, ViewSurface, minimum_texture, wanted_density,
@@ -178,7 +178,9 @@ pub fn solve_under(
     }
     if light.is_none() && motions.is_none() {
         let input = measured.input(&capture, &grid);
-        found = without_mirrored(&input, &options.estimate, found, &mut Part { observer })?;
+        let on = (&measured, &minimum);
+        let part = &mut Part { observer };
+        found = without_mirrored(&input, on, &options.estimate, found, part)?;
     }
     let on = (capture.as_ref(), &grid, &minimum);
     let given_light = known_light.as_ref();
@@ -386,7 +388,7 @@ fn found(
 }
 
 /// The gloss of every texel, where parts of the surface differ.
-fn gloss(
+pub fn gloss(
     found: &Estimate,
     mesh: &Mesh,
     atlas: &Atlas,
@@ -451,8 +453,8 @@ fn textures(
             Light::Turning(..) => None,
         };
         // What a dielectric mirrors of itself is small: the first guess at its texture will do. A metal's is its highlights.
-        let is_metal = brdf.is_some_and(|brdf| brdf.model == SpecularModel::Metal);
-        let guess = (!is_metal).then_some((atlas, &minimum.radiance[..]));
+        let guess = diffuse_guess(brdf, gloss, &minimum.radiance);
+        let guess = guess.as_deref().map(|guess| (atlas, guess));
         let surroundings =
             (interreflection.as_ref()).map(|around| Surroundings::new(around, guess, None));
         let scene = Scene {

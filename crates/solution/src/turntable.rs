@@ -121,7 +121,7 @@ impl<'a> SelfLit<'a> {
         let albedo = self.albedo(sent);
         let mirrored = |place: (u32, Vec2), (view, to_camera): (usize, Vec3), number: u32| {
             let own = &sent[view];
-            if own.is_hollow(mesh, place) {
+            if own.is_hollow(&scene, place) {
                 return None;
             }
             let cos_view = mesh.point(place.0, place.1).normal.dot(to_camera);

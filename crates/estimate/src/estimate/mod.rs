@@ -229,6 +229,16 @@ impl Estimate {
             left_out: Vec::new(),
         }
     }
+
+    /// Whether the surface or a part of it is of metal.
+    pub fn has_metal(&self) -> bool {
+        let parts = self.parts.iter().flat_map(|parts| &parts.glosses);
+        let of_parts = |main: Brdf| {
+            let mut brdfs = parts.map(|gloss| main.at(*gloss));
+            main.is_metal() || brdfs.any(|brdf| brdf.is_metal())
+        };
+        self.brdf.is_some_and(of_parts)
+    }
 }
 
 /// Estimates roughness and lighting of a capture.
