@@ -180,6 +180,18 @@ pub fn borne_out(
 
 /// The same under light from wherever the solver seeks it.
 fn sought(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
+    let end_on_mesh =
+        |solver: &Solver<'_>,
+         start: Start<'_>,
+         guess: Option<&GlossParts>,
+         watch: &mut Watch<'_>| { on_mesh(solver, start, guess, rules.choice, watch) };
+    // What a first estimate has told of the parts, a second one starts from.
+    if let Some(parts) = solver.first.and_then(|first| first.parts.as_ref()) {
+        let parted = solver.parted(parts);
+        return with_coarse_fit(&parted, rules.choice, watch, |solver, start, watch| {
+            end_on_mesh(solver, start, None, watch)
+        });
+    }
     with_coarse_fit(solver, rules.choice, watch, |solver, start, watch| {
         let shown = is_glossy(solver, &start.coarse);
         let views = solver.seen.views.len();
@@ -190,18 +202,14 @@ fn sought(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Ou
             return Ok(Outcome::Exposures(factors));
         }
         // Normals that are off look like patches of gloss, and gloss in patches not like normals that are off: these don't predict.
-        if may_be_refined(solver, shown, &start.coarse)?
-            && let Some(ending) = on_refined(solver, &start.coarse, rules.choice, watch)?
-        {
-            return Ok(Outcome::Found(Box::new(ending)));
+        let mut known = None;
+        if may_be_refined(solver, shown, &start.coarse)? {
+            let on = (&start.coarse, &mut known);
+            if let Some(ending) = on_refined(solver, on, rules.choice, watch)? {
+                return Ok(Outcome::Found(Box::new(ending)));
+            }
         }
-        with_parts(
-            solver,
-            start,
-            rules.choice,
-            watch,
-            |solver, start, guess, watch| on_mesh(solver, start, guess, rules.choice, watch),
-        )
+        with_parts(solver, (start, known), rules.choice, watch, end_on_mesh)
     })
 }
 
@@ -262,7 +270,7 @@ fn on_mesh(
     let ending = match guess {
         // Without parts that has been tried before.
         None if solver.seen.parts.is_some() && may_be_refined(solver, shown, &coarse)? => {
-            on_refined(solver, &coarse, choice, watch)?
+            on_refined(solver, (&coarse, &mut None), choice, watch)?
         }
         Some(guess) if may_be_refined(solver, shown, &coarse)? => {
             on_guess(solver, guess, choice, watch)?
@@ -333,16 +341,20 @@ fn with_coarse_fit<R>(
 }
 
 /// Goes on from a coarse fit, on a surface that has parts by their strength of gloss if these explain clearly more; where one gloss for all
-/// shows nothing, if they may. Parts that nothing proves on this surface are told as a guess.
+/// shows nothing, if they may. Parts that nothing proves on this surface are told as a guess. Patches that are known are not looked for.
 fn with_parts<R>(
     solver: &Solver<'_>,
-    start: Start<'_>,
+    (start, known): (Start<'_>, Option<Patches>),
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
     then: impl FnOnce(&Solver<'_>, Start<'_>, Option<&GlossParts>, &mut Watch<'_>) -> Result<R, Stopped>,
 ) -> Result<R, Stopped> {
     let shown = is_glossy(solver, &start.coarse);
-    let parts = match patches(solver, &start.coarse, watch)? {
+    let patches = match known {
+        Some(patches) => patches,
+        None => patches(solver, &start.coarse, watch)?,
+    };
+    let parts = match patches {
         Patches::Likely(parts) => parts,
         Patches::Guess(parts) if !shown => return then(solver, start, Some(&parts), watch),
         _ => return then(solver, start, None, watch),
@@ -364,10 +376,10 @@ fn with_parts<R>(
 }
 
 /// The end on a refined surface, if views left out are explained better there than on the solver's own, whose fit is `coarse`, beyond
-/// chance.
+/// chance. Patches of the latter become known where they are looked for.
 fn on_refined(
     solver: &Solver<'_>,
-    coarse: &CoarseFit<'_>,
+    (coarse, known): (&CoarseFit<'_>, &mut Option<Patches>),
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Ending>, Stopped> {
@@ -399,7 +411,12 @@ fn on_refined(
         }
         // Where little is left there is little that parts could leave less of.
         if leaves_much(solver, &start.coarse.state)?
-            && outdone_by_parts((on_mesh, coarse), &after, choice, watch)?
+            && outdone_by_parts(
+                (on_mesh, known.insert(patches(on_mesh, coarse, watch)?)),
+                &after,
+                choice,
+                watch,
+            )?
         {
             return Ok(None);
         }
@@ -407,18 +424,18 @@ fn on_refined(
     })
 }
 
-/// Whether parts of the solver's own surface, whose fit is `coarse`, leave less of views left out than another surface, on which `after`
-/// is left, beyond chance: turned normals can stand for gloss that differs from place to place.
+/// Whether patches of the solver's own surface leave less of views left out than another surface, on which `after` is left, beyond chance:
+/// turned normals can stand for gloss that differs from place to place.
 fn outdone_by_parts(
-    (solver, coarse): (&Solver<'_>, &CoarseFit<'_>),
+    (solver, patches): (&Solver<'_>, &Patches),
     after: &[LeftAt],
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<bool, Stopped> {
-    let Patches::Likely(parts) = patches(solver, coarse, watch)? else {
+    let Patches::Likely(parts) = patches else {
         return Ok(false);
     };
-    let parted = solver.parted(&parts);
+    let parted = solver.parted(parts);
     let (fit, _) = choose(&parted, choice, watch)?;
     let by_parts = roughly_left_out(&parted, &fit.state);
     let [left_after, left_by_parts] =
@@ -454,12 +471,18 @@ fn on_glossy(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Ending>, Stopped> {
-    with_parts(solver, start, choice, watch, |solver, start, _, watch| {
-        if !is_glossy(solver, &start.coarse) {
-            return Ok(None);
-        }
-        on_relief(solver, start, (relief, original), choice, watch).map(Some)
-    })
+    with_parts(
+        solver,
+        (start, None),
+        choice,
+        watch,
+        |solver, start, _, watch| {
+            if !is_glossy(solver, &start.coarse) {
+                return Ok(None);
+            }
+            on_relief(solver, start, (relief, original), choice, watch).map(Some)
+        },
+    )
 }
 
 /// The end on a surface that stands for that of `original`: `relief`, which the solver is of, moved under the lights found on it if that
@@ -539,8 +562,8 @@ fn end(
             None => &coarse.state,
         };
         let fit = finish(solver, start, watch)?;
-        // What a metal mirrors of itself is a cause that a second estimate takes away.
-        let is_known = fit.brdf.model == SpecularModel::Metal && solver.first.is_none();
+        // What metal mirrors of the object is a cause that a second estimate takes away.
+        let is_known = fit.has_metal() && solver.first.is_none();
         let is_still = solver.seen.turning.is_none();
         let is_middling = is_still && !is_known && diagnose::is_middling(&fit.misfit);
         let is_looked_for = is_middling && !watch.observer.enough();

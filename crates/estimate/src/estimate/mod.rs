@@ -232,12 +232,8 @@ impl Estimate {
 
     /// Whether the surface or a part of it is of metal.
     pub fn has_metal(&self) -> bool {
-        let parts = self.parts.iter().flat_map(|parts| &parts.glosses);
-        let of_parts = |main: Brdf| {
-            let mut brdfs = parts.map(|gloss| main.at(*gloss));
-            main.is_metal() || brdfs.any(|brdf| brdf.is_metal())
-        };
-        self.brdf.is_some_and(of_parts)
+        let parts = self.parts.as_ref();
+        self.brdf.is_some_and(|main| fast::has_metal(&main, parts))
     }
 }
 
