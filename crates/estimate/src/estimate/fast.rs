@@ -455,7 +455,9 @@ impl Solver<'_> {
         }
         go_on(watch.observer.progress("settling the roughness", 0.8))?;
         let settled = self.settled_on(&state, &all, watch)?;
-        self.with_parts(settled, GLOSS_ROUNDS, watch)
+        let are_known = self.first.is_some_and(|first| first.parts.is_some());
+        let rounds = if are_known { 1 } else { GLOSS_ROUNDS };
+        self.with_parts(settled, rounds, watch)
     }
 
     /// The fit of a settled state, after `rounds` in which the surface's parts and the lights take turns where some parts are

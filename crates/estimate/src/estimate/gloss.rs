@@ -662,19 +662,26 @@ impl<'a> Board<'a> {
         }
         let total = share.iter().sum::<f32>().max(f32::MIN_POSITIVE);
         let share = share.map(|share| share / total);
-        let mut likely = vec![share; told.len()];
-        let mut asked = |i: usize| {
+        // A point is likely what it says itself and, so much, what its neighbours are.
+        let of_point = |i: usize| {
             let (kind, certain) = told[i];
-            let mut weight = certain + PRIOR;
             let mut own = share.map(|share| PRIOR * share);
             own[kind] += certain;
+            let bonds: f32 = self.bonds[i].iter().map(|(_, bond)| bond).sum();
+            let weight = certain + PRIOR + BOND * bonds;
+            (own.map(|own| own / weight), BOND / weight)
+        };
+        let of_points: Vec<([f32; MOST], f32)> = (0..told.len()).map(of_point).collect();
+        let mut likely = vec![share; told.len()];
+        let mut asked = |i: usize| {
+            let mut around = [0.0; MOST];
             for &(near, bond) in &self.bonds[i] {
-                weight += BOND * bond;
-                for (own, other) in own.iter_mut().zip(likely[near as usize]) {
-                    *own += BOND * bond * other;
+                for (around, other) in around.iter_mut().zip(likely[near as usize]) {
+                    *around += bond * other;
                 }
             }
-            likely[i] = own.map(|own| own / weight);
+            let (own, part) = &of_points[i];
+            likely[i] = std::array::from_fn(|k| own[k] + part * around[k]);
         };
         for sweep in 0..SWEEPS {
             // Forth and back, so that what is known travels far either way.
