@@ -3,9 +3,11 @@
 //! Where a fit leaves residuals that neighbouring points share, it is repeated on the coarsest cells with one assumption
 //! changed: where the lights are, what the pictures' numbers mean. Each change is judged by whether it
 //! wins in more parts of the surface than chance would have it: points are gathered in groups of like normals, and the groups'
-//! differences are ranked (Wilcoxon, "Individual comparisons by ranking methods", 1945). So no single highlight decides.
+//! differences are ranked (Wilcoxon, "Individual comparisons by ranking methods", 1945). So no single highlight decides. What wins has to
+//! win on cells that are split once, too: a change that makes highlights wider is better on coarse cells only.
 
 use std::ops::{ControlFlow, Range, RangeInclusive};
+use std::sync::OnceLock;
 use std::sync::atomic::Ordering;
 
 use glam::Vec3;
@@ -62,16 +64,31 @@ const STATED_RADII: [f32; 4] = [0.5, 0.8, 1.25, 2.0];
 const RADII: [f32; 3] = [2.0, 5.0, 12.0];
 /// With fewer views, none can be told to be the odd one.
 const FEWEST_VIEWS: usize = 4;
-/// Exponent of a display's curve.
-const DISPLAY_GAMMA: f32 = 2.2;
+/// Points at which a change is looked at on cells that are split.
+const POINTS: usize = 1800;
+/// Exponents of a display's curve, by which encoded values are decoded, and decoded ones encoded.
+const POWERS: [f32; 2] = [2.2, 1.0 / 2.2];
 
 /// A change of assumptions, with what it needs.
 struct Change<'a> {
     suspect: Suspect,
+    /// The observations with their numbers raised to this power.
+    power: f32,
     observations: &'a Observations,
     near: Option<(Vec3, f32)>,
     /// The lobes that may fit then; the first is tried at more roughnesses.
     models: &'a [SpecularModel],
+}
+
+impl Change<'_> {
+    /// What a fit with it leaves of the differences between views as they are stated. See [`left`].
+    fn left(&self, state: &State<'_>) -> Vec<f64> {
+        if self.power == 1.0 {
+            left(state)
+        } else {
+            left_before(state, self.power)
+        }
+    }
 }
 
 /// The fit with another lobe than that of the first of some fits that explains the photographs better, beyond chance.
@@ -104,6 +121,14 @@ impl Trial {
         }
     }
 
+    /// A fit with a change.
+    fn with(change: &Change<'_>, state: &State<'_>) -> Self {
+        Self {
+            left: change.left(state),
+            sigma: state.brdf.sigma,
+        }
+    }
+
     fn total(&self) -> f64 {
         self.left.iter().sum()
     }
@@ -112,14 +137,31 @@ impl Trial {
 /// What a fit leaves at each point, as a part of the differences between views and per degree of freedom, of which a lit cell
 /// and a point's colour take one each.
 pub fn left(state: &State<'_>) -> Vec<f64> {
+    left_as(state, |_, residual| magnitude(residual))
+}
+
+/// The same of a fit in gray to numbers that were raised to a `power`, in what they were before: two powers are compared by the same numbers.
+fn left_before(state: &State<'_>, power: f32) -> Vec<f64> {
+    let rows = &state.design.observations.rows;
+    let before = |value: f32| value.max(0.0).powf(power.recip());
+    left_as(state, |k, [residual, ..]| {
+        let [measured, ..] = rows[k].radiance;
+        (before(measured) - before(measured - residual)).abs()
+    })
+}
+
+/// The same where the residual of each row has a size.
+fn left_as(state: &State<'_>, size: impl Fn(usize, [f32; 3]) -> f32) -> Vec<f64> {
     let observations = state.design.observations;
-    let all = state.dark_residuals().absolute_sum();
-    let rows = observations.rows.len() as f64;
+    let size_of = |residuals: &[[f32; 3]], k: usize| f64::from(size(k, residuals[k]));
+    let rows = observations.rows.len();
+    let dark = state.dark_residuals().values;
+    let all: f64 = (0..rows).map(|k| size_of(&dark, k)).sum();
+    let rows = rows as f64;
     let taken = (observations.points.len() + state.lit().len()) as f64;
     let scale = rows / (rows - taken).max(1.0) / all.max(f64::MIN_POSITIVE);
     let residuals = &state.residuals.values;
-    let of_point =
-        |rows: Range<usize>| -> f64 { rows.map(|k| f64::from(magnitude(residuals[k]))).sum() };
+    let of_point = |rows: Range<usize>| -> f64 { rows.map(|k| size_of(residuals, k)).sum() };
     (observations.points.iter())
         .map(|point| scale * of_point(point.rows.clone()))
         .collect()
@@ -149,40 +191,79 @@ impl Solver<'_> {
     /// what leaves more than a part `worth` of what that does is of no interest.
     pub fn contradicted(&self, fit: &State<'_>, worth: f64) -> Result<Option<Suspicion>, Stopped> {
         let colour = self.coarse_colours();
-        let [decoded, encoded] = [DISPLAY_GAMMA, 1.0 / DISPLAY_GAMMA].map(|g| powered(&colour, g));
+        let [decoded, encoded] = POWERS.map(|power| powered(&colour, power));
         // Which lobe fits depends on what the numbers mean and on where the lights are.
         let mut models = SpecularModel::ALL;
         models.sort_by_key(|&model| model != fit.brdf.model);
         let stated = self.stated(&models[..1]);
-        let Some(own) = self.trial(&stated, fit.brdf.sigma, f64::INFINITY)? else {
+        let Some(as_stated) = self.fitted(&stated, fit.brdf.sigma, f64::INFINITY)? else {
             return Ok(None);
         };
-        let mut best: Option<Suspicion> = None;
+        let own = Trial::with(&stated, &as_stated);
+        let mut best: Option<(Suspicion, &Change<'_>, State<'_>)> = None;
         let changes = self.changes(&models, [&decoded, &encoded]);
         let most = HOPELESS * worth * own.total();
-        let trials = changes
+        let fits = changes
             .par_iter()
-            .map(|change| self.trial(change, fit.brdf.sigma, most));
-        let trials: Result<Vec<Option<Trial>>, Stopped> = trials.collect();
-        for (change, trial) in changes.iter().zip(trials?) {
-            let Some(trial) = trial else { continue };
+            .map(|change| self.fitted(change, fit.brdf.sigma, most));
+        let fits: Result<Vec<Option<State<'_>>>, Stopped> = fits.collect();
+        for (change, state) in changes.iter().zip(fits?) {
+            let Some(state) = state else { continue };
+            let trial = Trial::with(change, &state);
             let leaves = trial.total() / own.total();
-            let less = leaves < best.map_or(1.0, |b| b.leaves);
+            let less = leaves < best.as_ref().map_or(1.0, |(best, ..)| best.leaves);
             if less && signed_ranks(&own.left, &trial.left) > SURE {
-                best = Some(Suspicion {
+                let found = Suspicion {
                     suspect: change.suspect,
                     leaves,
                     sigma_ratio: trial.sigma / own.sigma,
-                });
+                };
+                best = Some((found, change, state));
             }
         }
-        Ok(best)
+        let Some((found, change, changed)) = best else {
+            return Ok(None);
+        };
+        let is_better = self.is_better_on_split((&stated, &as_stated), (change, &changed))?;
+        Ok(is_better.then_some(found))
+    }
+
+    /// Whether the second of two fits leaves less than the first on cells that are split once, beyond chance, at points that could show the
+    /// lights of either.
+    fn is_better_on_split(
+        &self,
+        first: (&Change<'_>, &State<'_>),
+        second: (&Change<'_>, &State<'_>),
+    ) -> Result<bool, Stopped> {
+        let lit = [first.1, second.1].into_iter().flat_map(|state| {
+            let directions = &state.design.geometry.directions;
+            state.lit().into_iter().map(|k| directions[k])
+        });
+        let widest = f32::max(first.1.brdf.sigma, second.1.brdf.sigma);
+        let widest = Brdf::new(first.1.brdf.model, widest);
+        let points = self.points_showing(&Vec::from_iter(lit), &widest, POINTS);
+        let left = |(change, state): (&Change<'_>, &State<'_>)| {
+            let changed = Solver {
+                near: change.near,
+                coarse: self.coarse.clone(),
+                coarse_sees: OnceLock::new(),
+                ..*self
+            };
+            let points = powered(&points, change.power);
+            let mut split = changed.refine(state, &points);
+            split.solve_lights(ROUGH);
+            changed.improve_quietly(&mut split, ROUNDS, ROUGH)?;
+            Ok(change.left(&split))
+        };
+        let (first, second) = (left(first)?, left(second)?);
+        Ok(signed_ranks(&first, &second) > SURE)
     }
 
     /// Everything as stated.
     fn stated<'a>(&'a self, models: &'a [SpecularModel]) -> Change<'a> {
         Change {
             suspect: Suspect::Distant,
+            power: 1.0,
             observations: &self.coarse,
             near: self.near,
             models,
@@ -281,20 +362,15 @@ impl Solver<'_> {
             let others = RADII.map(|factor| at(self.grid.centre, factor * reach));
             others.into_iter().collect()
         };
-        for (suspect, observations) in [Suspect::Encoded, Suspect::Decoded].into_iter().zip(powers)
-        {
+        let suspects = [Suspect::Encoded, Suspect::Decoded].into_iter();
+        for ((suspect, power), observations) in suspects.zip(POWERS).zip(powers) {
             changes.push(Change {
+                power,
                 observations,
                 ..stated(suspect)
             });
         }
         changes
-    }
-
-    /// What a fit with a change leaves; nothing where it starts by leaving more than `most`.
-    fn trial(&self, change: &Change<'_>, sigma: f32, most: f64) -> Result<Option<Trial>, Stopped> {
-        let fitted = self.fitted(change, sigma, most)?;
-        Ok(fitted.map(|state| Trial::of(&state)))
     }
 
     /// A fit with a change on the coarsest cells; nothing where it starts by leaving more than `most`.
@@ -323,7 +399,8 @@ impl Solver<'_> {
         }
         let states = states.into_iter();
         let best = states.min_by(|a, b| a.unexplained().total_cmp(&b.unexplained()));
-        let Some(mut state) = best.filter(|state| left(state).iter().sum::<f64>() < most) else {
+        let is_hopeful = |state: &State<'_>| change.left(state).iter().sum::<f64>() < most;
+        let Some(mut state) = best.filter(is_hopeful) else {
             return Ok(None);
         };
         self.improve_quietly(&mut state, ROUNDS, ROUGH)?;
