@@ -402,8 +402,7 @@ mod tests {
     }
 
     /// What comes back of a wide light by way of both plates of the corner, per unit of what one plate would show of it.
-    fn twice_over_once(specular_scale: Vec3) -> Vec3 {
-        let brdf = Brdf::new(SpecularModel::Metal, 0.02);
+    fn twice_over_once(brdf: Brdf, specular_scale: Vec3) -> Vec3 {
         let mesh = corner();
         let occluder = Occluder::new(&mesh);
         // Over both plates light goes back to where it came from.
@@ -435,13 +434,24 @@ mod tests {
 
     #[test]
     fn a_metal_shows_by_way_of_two_plates_what_one_reflects_of_the_other() {
-        let half = twice_over_once(Vec3::ONE);
+        let metal = Brdf::new(SpecularModel::Metal, 0.02);
+        let half = twice_over_once(metal, Vec3::ONE);
         assert!((half / 0.5 - 1.0).abs().max_element() < 0.05, "{half}");
         // A metal's colour counts once more with each reflection, and no channel reflects more than all.
-        let gold = twice_over_once(Vec3::new(1.5, 1.0, 0.5));
+        let gold = twice_over_once(metal, Vec3::new(1.5, 1.0, 0.5));
         let expected = Vec3::new(0.75, 0.5, 0.25);
         assert!((gold / expected - 1.0).abs().max_element() < 0.05, "{gold}");
-        let too_bright = twice_over_once(Vec3::new(9.0, 1.0, 1.0));
+        let too_bright = twice_over_once(metal, Vec3::new(9.0, 1.0, 1.0));
         assert!((too_bright.x - 1.0).abs() < 0.05, "{too_bright}");
+    }
+
+    #[test]
+    fn a_part_of_metal_mirrors_highlights_and_a_dielectric_does_not() {
+        let part =
+            |strength: f32| Brdf::new(SpecularModel::Ggx, 0.02).at(Gloss::new(1.0, strength));
+        // Facets of 4 % at normal incidence, twelve times as much in a metal's part.
+        let twice = twice_over_once(part(12.0), Vec3::ONE);
+        assert!((twice / 0.48 - 1.0).abs().max_element() < 0.05, "{twice}");
+        assert_eq!(twice_over_once(part(1.0), Vec3::ONE), Vec3::ZERO);
     }
 }
