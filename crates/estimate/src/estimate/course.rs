@@ -410,15 +410,11 @@ fn on_refined(
             return Ok(None);
         }
         // Where little is left there is little that parts could leave less of.
-        if leaves_much(solver, &start.coarse.state)?
-            && outdone_by_parts(
-                (on_mesh, known.insert(patches(on_mesh, coarse, watch)?)),
-                &after,
-                choice,
-                watch,
-            )?
-        {
-            return Ok(None);
+        if leaves_much(solver, &start.coarse.state)? {
+            let patches = known.insert(patches(on_mesh, coarse, watch)?);
+            if outdone_by_parts((on_mesh, patches), &after, choice, watch)? {
+                return Ok(None);
+            }
         }
         on_glossy(solver, start, (&mut relief, &on_mesh.seen), choice, watch)
     })

@@ -200,7 +200,7 @@ impl Solver<'_> {
             return Ok(None);
         };
         let own = Trial::with(&stated, &as_stated);
-        let mut best: Option<(Suspicion, &Change<'_>, State<'_>)> = None;
+        let mut better: Vec<(Suspicion, &Change<'_>, State<'_>)> = Vec::new();
         let changes = self.changes(&models, [&decoded, &encoded]);
         let most = HOPELESS * worth * own.total();
         let fits = changes
@@ -211,21 +211,22 @@ impl Solver<'_> {
             let Some(state) = state else { continue };
             let trial = Trial::with(change, &state);
             let leaves = trial.total() / own.total();
-            let less = leaves < best.as_ref().map_or(1.0, |(best, ..)| best.leaves);
-            if less && signed_ranks(&own.left, &trial.left) > SURE {
+            if leaves < 1.0 && signed_ranks(&own.left, &trial.left) > SURE {
                 let found = Suspicion {
                     suspect: change.suspect,
                     leaves,
                     sigma_ratio: trial.sigma / own.sigma,
                 };
-                best = Some((found, change, state));
+                better.push((found, change, state));
             }
         }
-        let Some((found, change, changed)) = best else {
-            return Ok(None);
-        };
-        let is_better = self.is_better_on_split((&stated, &as_stated), (change, &changed))?;
-        Ok(is_better.then_some(found))
+        better.sort_by(|(a, ..), (b, ..)| a.leaves.total_cmp(&b.leaves));
+        for (found, change, changed) in better {
+            if self.is_better_on_split((&stated, &as_stated), (change, &changed))? {
+                return Ok(Some(found));
+            }
+        }
+        Ok(None)
     }
 
     /// Whether the second of two fits leaves less than the first on cells that are split once, beyond chance, at points that could show the
@@ -241,7 +242,8 @@ impl Solver<'_> {
         });
         let widest = f32::max(first.1.brdf.sigma, second.1.brdf.sigma);
         let widest = Brdf::new(first.1.brdf.model, widest);
-        let points = self.points_showing(&Vec::from_iter(lit), &widest, POINTS);
+        let lit: Vec<Vec3> = lit.collect();
+        let points = self.points_showing(&lit, &widest, POINTS);
         let left = |(change, state): (&Change<'_>, &State<'_>)| {
             let changed = Solver {
                 near: change.near,
