@@ -558,8 +558,8 @@ fn end(
             None => &coarse.state,
         };
         let fit = finish(solver, start, watch)?;
-        // What metal mirrors of the object is a cause that a second estimate takes away.
-        let is_known = fit.has_metal() && solver.first.is_none();
+        // What a metal mirrors of itself is a cause that a second estimate takes away.
+        let is_known = fit.brdf.model == SpecularModel::Metal && solver.first.is_none();
         let is_still = solver.seen.turning.is_none();
         let is_middling = is_still && !is_known && diagnose::is_middling(&fit.misfit);
         let is_looked_for = is_middling && !watch.observer.enough();

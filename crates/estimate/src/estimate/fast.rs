@@ -113,19 +113,6 @@ pub struct Fit {
     pub parts: Option<GlossParts>,
 }
 
-impl Fit {
-    /// Whether the surface or a part of it is of metal.
-    pub fn has_metal(&self) -> bool {
-        has_metal(&self.brdf, self.parts.as_ref())
-    }
-}
-
-/// Whether a surface with this main lobe, or one of its parts, is of metal.
-pub fn has_metal(main: &Brdf, parts: Option<&GlossParts>) -> bool {
-    let mut glosses = parts.iter().flat_map(|parts| &parts.glosses);
-    main.is_metal() || glosses.any(|gloss| main.at(*gloss).is_metal())
-}
-
 /// The best fit on the coarsest cells.
 pub struct CoarseFit<'a> {
     /// The fit.

@@ -232,8 +232,10 @@ impl Estimate {
 
     /// Whether the surface or a part of it is of metal.
     pub fn has_metal(&self) -> bool {
-        let parts = self.parts.as_ref();
-        self.brdf.is_some_and(|main| fast::has_metal(&main, parts))
+        let mut glosses = self.parts.iter().flat_map(|parts| &parts.glosses);
+        let mut is_metal =
+            |main: Brdf| main.is_metal() || glosses.any(|gloss| main.at(*gloss).is_metal());
+        self.brdf.is_some_and(&mut is_metal)
     }
 }
 
