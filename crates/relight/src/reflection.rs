@@ -305,7 +305,7 @@ impl<'a> Surroundings<'a> {
             if let Some(cos) = exit_cosine(mesh, hit.triangle, hit.barycentric, light) {
                 let gloss = scene.gloss_at(hit.triangle, hit.barycentric);
                 sum += self.radiance(mesh, hit.triangle, hit.barycentric)
-                    * (weight * lobe.brdf.at(gloss).diffuse_exit(cos));
+                    * (weight * scene.diffuse_exit(gloss, cos));
                 if is_metal {
                     let place = (hit.triangle, hit.barycentric);
                     sum += weight * self.specular(scene, shader, place, (-light, extent));

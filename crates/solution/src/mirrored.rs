@@ -97,13 +97,12 @@ pub fn diffuse_guess<'m>(
         return Some(Cow::Borrowed(dark));
     };
     let is_metal = |gloss: &_| main.at(*gloss).is_metal();
-    let Some(gloss) = gloss else {
-        return (!main.is_metal()).then_some(Cow::Borrowed(dark));
-    };
-    if !gloss.texels().iter().any(is_metal) {
-        return Some(Cow::Borrowed(dark));
+    let part = |(dark, gloss): (&[f32; 3], _)| if is_metal(gloss) { [0.0; 3] } else { *dark };
+    match gloss.map(GlossTexture::texels) {
+        None => (!main.is_metal()).then_some(Cow::Borrowed(dark)),
+        Some(texels) if texels.iter().any(is_metal) => {
+            Some(dark.iter().zip(texels).map(part).collect())
+        }
+        Some(_) => Some(Cow::Borrowed(dark)),
     }
-    let texels = dark.iter().zip(gloss.texels());
-    let guess = texels.map(|(dark, gloss)| if is_metal(gloss) { [0.0; 3] } else { *dark });
-    Some(Cow::Owned(guess.collect()))
 }

@@ -12,7 +12,7 @@ use super::observations::Seen;
 use super::observer::{Interim, Stopped, go_on};
 use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::shading::{Agreement, LightByShading};
-use super::state::{ROUGH, State};
+use super::state::State;
 use super::suspects::{Suspicion, better_lobe, left};
 use super::{broad_light, diagnose, exposures, sparse_gloss, stated_gloss, strengths};
 use glam::Vec3;
@@ -34,9 +34,6 @@ pub const ROUGHEST: f32 = 0.5;
 /// Step of the factors by which broad light allows another roughness, and how many are tried on each side.
 const FINE_STEP: f32 = 1.1;
 const FINE_STEPS: i32 = 5;
-
-/// Steps of each lobe on cells that are split once.
-const ROUNDS: usize = 4;
 
 /// What the course comes to.
 pub enum Outcome {
@@ -180,16 +177,11 @@ pub fn borne_out(
 
 /// The same under light from wherever the solver seeks it.
 fn sought(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
-    let end_on_mesh =
-        |solver: &Solver<'_>,
-         start: Start<'_>,
-         guess: Option<&GlossParts>,
-         watch: &mut Watch<'_>| { on_mesh(solver, start, guess, rules.choice, watch) };
     // What a first estimate has told of the parts, a second one starts from.
     if let Some(parts) = solver.first.and_then(|first| first.parts.as_ref()) {
         let parted = solver.parted(parts);
         return with_coarse_fit(&parted, rules.choice, watch, |solver, start, watch| {
-            end_on_mesh(solver, start, None, watch)
+            on_mesh(solver, start, None, rules.choice, watch)
         });
     }
     with_coarse_fit(solver, rules.choice, watch, |solver, start, watch| {
@@ -209,7 +201,13 @@ fn sought(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Ou
                 return Ok(Outcome::Found(Box::new(ending)));
             }
         }
-        with_parts(solver, (start, known), rules.choice, watch, end_on_mesh)
+        with_parts(
+            solver,
+            (start, known),
+            rules.choice,
+            watch,
+            |solver, start, guess, watch| on_mesh(solver, start, guess, rules.choice, watch),
+        )
     })
 }
 
@@ -247,15 +245,8 @@ fn on_split(
     is_so: fn(&State<'_>) -> bool,
 ) -> Result<bool, Stopped> {
     let observations = solver.middle_observations(coarse).to_gray();
-    let split = improved(solver, solver.refine(coarse, &observations))?;
+    let split = solver.lit_on_split(solver.refine(coarse, &observations))?;
     Ok(is_so(&split))
-}
-
-/// The lights of a state on cells that are split once, improved by a few steps.
-fn improved<'s>(solver: &Solver<'_>, mut split: State<'s>) -> Result<State<'s>, Stopped> {
-    split.solve_lights(ROUGH);
-    solver.improve_quietly(&mut split, ROUNDS, ROUGH)?;
-    Ok(split)
 }
 
 /// The end on the mesh as it is, or on one that its parts show how to refine, or those that may be.
@@ -752,7 +743,7 @@ fn on_split_with_all<R>(
         go_on(watch.observer.progress("comparing lobes", 0.3))?;
         let mut state = split.clone();
         state.brdf.model = model;
-        states.push(improved(solver, state)?);
+        states.push(solver.lit_on_split(state)?);
     }
     then(&states, watch)
 }

@@ -70,7 +70,7 @@ const COARSE_POINTS: usize = 1500;
 const FINE_CANDIDATES: usize = 24_000;
 
 /// Most points that take part on cells between the coarsest and the finest, and on the finest.
-const MIDDLE_POINTS: usize = 1800;
+pub const MIDDLE_POINTS: usize = 1800;
 const FINE_POINTS: usize = 5000;
 
 /// Cells past about this number stay coarse, the dimmest first.
@@ -89,6 +89,8 @@ const MARGIN: usize = 2;
 const GLOSS_ROUNDS: usize = 3;
 /// Parts that differ by less from those before, in the mean, are settled.
 const SAME_GLOSS: f32 = 0.02;
+/// Steps of σ and lights on cells that are split once to be compared.
+const SPLIT_ROUNDS: usize = 4;
 
 /// A lobe that reaches everything that any other does.
 const WIDEST: Brdf = Brdf::new(SpecularModel::Ggx, 0.5);
@@ -645,6 +647,13 @@ impl Solver<'_> {
         };
         self.improve(state, rounds, precision, &mut watch)
             .map(|_| ())
+    }
+
+    /// A state on cells that are split once with their lights, improved by a few steps.
+    pub fn lit_on_split<'s>(&self, mut split: State<'s>) -> Result<State<'s>, Stopped> {
+        split.solve_lights(ROUGH);
+        self.improve_quietly(&mut split, SPLIT_ROUNDS, ROUGH)?;
+        Ok(split)
     }
 
     /// A design without shadows.

@@ -14,7 +14,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::design::Design;
-use super::fast::Solver;
+use super::fast::{MIDDLE_POINTS, Solver};
 use super::observations::{Observations, Point};
 use super::observer::{Stopped, go_on};
 use super::state::{ROUGH, State};
@@ -64,8 +64,6 @@ const STATED_RADII: [f32; 4] = [0.5, 0.8, 1.25, 2.0];
 const RADII: [f32; 3] = [2.0, 5.0, 12.0];
 /// With fewer views, none can be told to be the odd one.
 const FEWEST_VIEWS: usize = 4;
-/// Points at which a change is looked at on cells that are split.
-const POINTS: usize = 1800;
 /// Exponents of a display's curve, by which encoded values are decoded, and decoded ones encoded.
 const POWERS: [f32; 2] = [2.2, 1.0 / 2.2];
 
@@ -243,7 +241,7 @@ impl Solver<'_> {
         let widest = f32::max(first.1.brdf.sigma, second.1.brdf.sigma);
         let widest = Brdf::new(first.1.brdf.model, widest);
         let lit: Vec<Vec3> = lit.collect();
-        let points = self.points_showing(&lit, &widest, POINTS);
+        let points = self.points_showing(&lit, &widest, MIDDLE_POINTS);
         let left = |(change, state): (&Change<'_>, &State<'_>)| {
             let changed = Solver {
                 near: change.near,
@@ -252,9 +250,7 @@ impl Solver<'_> {
                 ..*self
             };
             let points = powered(&points, change.power);
-            let mut split = changed.refine(state, &points);
-            split.solve_lights(ROUGH);
-            changed.improve_quietly(&mut split, ROUNDS, ROUGH)?;
+            let split = changed.lit_on_split(changed.refine(state, &points))?;
             Ok(change.left(&split))
         };
         let (first, second) = (left(first)?, left(second)?);
