@@ -967,34 +967,63 @@ fn concave_polygons_are_cut_inside() {
 
 #[test]
 fn large_concave_polygons_are_cut_inside() {
-    // A gear of 3000 corners, whose fan from any corner would leave it.
-    let count = 3000_u32;
-    let points: Vec<DVec3> = (0..count)
-        .map(|i| {
-            let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / f64::from(count)).sin_cos();
-            let radius = if i / 10 % 2 == 0 { 1.0 } else { 0.6 };
-            DVec3::new(radius * cos, radius * sin, 0.0)
-        })
-        .collect();
-    let corners: Vec<u32> = (0..count).collect();
+    // A gear whose fan from any corner would leave it.
+    let points = ring(3000, |i| if i / 10 % 2 == 0 { 1.0 } else { 0.6 });
+    let areas = areas_of_parts(&points);
+    let area: f64 = areas.iter().sum();
+    let expected = area_of(&points);
+    assert!((area - expected).abs() < 1e-4, "{area} for {expected}");
+}
+
+#[test]
+fn large_convex_polygons_are_halved() {
+    // The bounds of a fan's triangles would all hold its first corner; those of halves get smaller by and by.
+    let count = 3000;
+    let points = ring(count, |_| 1.0);
     let mut triangles = Vec::new();
+    let corners: Vec<u32> = (0..count).collect();
     polygon::triangulate(&corners, &points, &mut triangles);
-    let twice = |a: DVec3, b: DVec3, c: DVec3| (b - a).cross(c - a).z;
-    let area: f64 = triangles
-        .iter()
-        .map(|t| {
-            let [a, b, c] = t.map(|v| points[v as usize]);
-            let area = twice(a, b, c);
-            assert!(area >= 0.0, "a triangle is turned over");
-            0.5 * area
-        })
-        .sum();
+    assert_eq!(triangles.len(), count as usize - 2);
+    let area: f64 = areas_of_parts(&points).iter().sum();
+    let expected = area_of(&points);
+    assert!((area - expected).abs() < 1e-9, "{area} for {expected}");
+    let at_one_corner = |corner: u32| triangles.iter().filter(|t| t.contains(&corner)).count();
+    assert!((0..count).all(|corner| at_one_corner(corner) < 32));
+}
+
+/// A closed line around the origin of `count` corners, at `radius` of each.
+fn ring(count: u32, radius: impl Fn(u32) -> f64) -> Vec<DVec3> {
+    let at = |i: u32| {
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / f64::from(count)).sin_cos();
+        radius(i) * DVec3::new(cos, sin, 0.0)
+    };
+    (0..count).map(at).collect()
+}
+
+fn twice_the_area(a: DVec3, b: DVec3, c: DVec3) -> f64 {
+    (b - a).cross(c - a).z
+}
+
+/// Areas of the triangles that a polygon in the plane is cut into, none of which may be turned over.
+fn areas_of_parts(points: &[DVec3]) -> Vec<f64> {
+    let corners: Vec<u32> = (0..points.len() as u32).collect();
+    let mut triangles = Vec::new();
+    polygon::triangulate(&corners, points, &mut triangles);
+    let area = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|v| points[v as usize]);
+        let twice = twice_the_area(a, b, c);
+        assert!(twice >= 0.0, "a triangle is turned over");
+        0.5 * twice
+    };
+    triangles.iter().map(area).collect()
+}
+
+fn area_of(points: &[DVec3]) -> f64 {
     let next = |i: usize| points[(i + 1) % points.len()];
     let pieces = points.iter().enumerate();
-    let expected: f64 = pieces
-        .map(|(i, &p)| 0.5 * twice(DVec3::ZERO, p, next(i)))
-        .sum();
-    assert!((area - expected).abs() < 1e-4, "{area} for {expected}");
+    pieces
+        .map(|(i, &p)| 0.5 * twice_the_area(DVec3::ZERO, p, next(i)))
+        .sum()
 }
 
 #[test]
