@@ -20,7 +20,7 @@ use super::below::AllAround;
 use super::cells::Cell;
 use super::fast::Solver;
 use super::held_lights::HeldLights;
-use super::observations::Observations;
+use super::observations::{Observations, Point};
 use super::observer::Stopped;
 use super::shading::hold_together;
 use super::state::State;
@@ -83,14 +83,18 @@ pub fn beside(
 }
 
 /// By how many standard deviations light from all around explains views left out better than diffuse colours do, beside the lights of a state
-/// of a metal. A metal mirrors all that it shows, and what has a diffuse part shows mostly that: on path-traced captures it was 4.7 and more of
-/// metals, in the dark and in rooms, and below −4.9 of others.
-pub fn against_colours(solver: &Solver<'_>, metal: &State<'_>) -> Result<f64, Stopped> {
+/// of a metal, at the points of a kind. A metal mirrors all that it shows, and what has a diffuse part shows mostly that: on path-traced
+/// captures it was 4.7 and more of metals, in the dark and in rooms, and below −4.9 of others.
+pub fn against_colours(
+    solver: &Solver<'_>,
+    metal: &State<'_>,
+    is_asked: impl Fn(&Point) -> bool,
+) -> Result<f64, Stopped> {
     let mut nodes = solver.nodes(&metal.cells, &metal.radiance);
     let around = AllAround::on_cells_of(solver, ROUGH_FREQUENCY);
     let whole = around.solver(solver);
     nodes.resize(whole.grid.directions.len(), [0.0; 3]);
-    let observations = whole.colours(FEWER_POINTS).measured();
+    let observations = whole.colours(FEWER_POINTS).measured().of_points(is_asked);
     let cells = whole.pyramid.roots();
     let deviations = against_colours_in(&whole, &observations, &cells, (metal.brdf, &nodes));
     if solver.stop.load(Ordering::Relaxed) {

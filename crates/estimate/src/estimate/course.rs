@@ -819,7 +819,7 @@ fn by_diffuse_part(
         return Ok(None);
     }
     go_on(watch.observer.progress("looking for a diffuse part", 0.15))?;
-    let deviations = broad_light::against_colours(solver, tried[metal])?;
+    let deviations = broad_light::against_colours(solver, tried[metal], |_| true)?;
     let (chosen, because) = if deviations > SURE {
         (metal, diagnose::MIRRORS_ALL)
     } else {

@@ -14,6 +14,7 @@ use std::time::Instant;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::broad_light;
 use super::cells::{Cell, Pyramid};
 use super::design::Design;
 use super::held_out::{
@@ -25,7 +26,9 @@ use super::lobes::light_from;
 use super::merging::merge_lamps;
 use super::misfit::Misfit;
 use super::near::Near;
-use super::observations::{Candidate, Observations, Row, Sampling, Seen, pixels_inside, widest};
+use super::observations::{
+    Candidate, Observations, Point, Row, Sampling, Seen, pixels_inside, widest,
+};
 use super::observer::{Interim, Iteration, Observer, Stopped, Unobserved, go_on};
 use super::spread::even_out;
 use super::state::{EXACT, Precision, ROUGH, SigmaStep, State};
@@ -490,7 +493,8 @@ impl Solver<'_> {
         parted.with_parts(settled, rounds - 1, watch)
     }
 
-    /// The same where the parts are known. Where some reflect as metals do beside others the latter are dielectrics, if these lobes leave less.
+    /// The same where the parts are known. Where some reflect as metals do beside others the latter are dielectrics, if these lobes leave less;
+    /// where the lobe is a metal's, which leaves a diffuse part no room, if they have one.
     fn with_metals(&self, settled: Settled<'_>, watch: &mut Watch<'_>) -> Result<Fit, Stopped> {
         let state = &settled.state;
         let dielectric = self.seen.parts.and_then(GlossParts::beside_metals);
@@ -498,14 +502,17 @@ impl Solver<'_> {
         let Some((parts, main)) = self.seen.parts.zip(dielectric).filter(|_| is_free) else {
             return self.with_tints(settled, watch);
         };
+        let is_metal = state.brdf.model == SpecularModel::Metal;
+        let is_weak = |point: &Point| parts.glosses[point.gloss].strength <= main.strength;
+        if is_metal && broad_light::against_colours(self, state, is_weak)? > -SURE {
+            return self.with_tints(settled, watch);
+        }
         let parts = parts.beside(main);
         let beside = self.parted(&parts);
         let observations = state.design.observations.of_parts(&parts);
         let mut with_main = state.with_main(main);
         with_main.brdf.model = SpecularModel::Ggx;
         let mixed = beside.settled_on(&with_main, &observations, watch)?;
-        // No metal reflects so much less than another.
-        let is_metal = state.brdf.model == SpecularModel::Metal;
         let left = |state: &State<'_>| state.residuals.absolute_sum();
         if is_metal || left(&mixed.state) < left(state) {
             beside.with_tints(mixed, watch)

@@ -296,6 +296,16 @@ impl Observations {
         some
     }
 
+    /// The points of a kind.
+    #[must_use]
+    pub fn of_points(&self, is_kept: impl Fn(&Point) -> bool) -> Self {
+        let mut kept = self.emptied();
+        for point in self.points.iter().filter(|point| is_kept(point)) {
+            kept.take(point, self.rows[point.rows.clone()].iter().copied());
+        }
+        kept
+    }
+
     /// The same without points.
     fn emptied(&self) -> Self {
         Self {

@@ -1133,6 +1133,7 @@ fn what_a_metal_mirrors_beside_its_lights_is_light_and_what_paint_shows_is_not()
         let median = errors[errors.len() / 2];
         assert!(median < 0.1, "off by {median}");
         assert!(against_colours(&observations) > SURE);
+        let metal = observations.clone();
         // The same object painted, under light from above.
         for point in &observations.points {
             let lit = 0.2 + point.normal.y.max(0.0);
@@ -1147,6 +1148,16 @@ fn what_a_metal_mirrors_beside_its_lights_is_light_and_what_paint_shows_is_not()
         }
         assert!(find(&observations).is_none(), "paint is no light");
         assert!(against_colours(&observations) < -SURE);
+        // One side of metal, the other painted, each asked by itself.
+        let middle = solver.seen.mesh.centre().x;
+        let is_metal = |point: &Point| point.position.x > middle;
+        let mut mixed = observations.clone();
+        for point in metal.points.iter().filter(|point| is_metal(point)) {
+            let own = point.rows.clone();
+            mixed.rows[own.clone()].copy_from_slice(&metal.rows[own]);
+        }
+        assert!(against_colours(&mixed.of_points(is_metal)) > SURE);
+        assert!(against_colours(&mixed.of_points(|point| !is_metal(point))) < -SURE);
         // And in white all over.
         for point in &observations.points {
             for row in &mut observations.rows[point.rows.clone()] {
