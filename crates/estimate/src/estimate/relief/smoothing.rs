@@ -65,7 +65,8 @@ impl Smoothed {
 
 /// The surface through a mesh that is as fine as the pictures, smoothed as much as these say: the smoothest that leaves of views
 /// that had no say no more than another one does, but for chance. What is smoothed much needs few triangles. Beside it whether it leaves
-/// less than the mesh itself, beyond chance, with a lobe of `model`.
+/// less than the mesh itself, beyond chance, with a lobe of `model`. `None` where even the least smoothing leaves more than the mesh, beyond
+/// chance: what it smooths away is no noise.
 pub fn smoothed(
     solver: &Solver<'_>,
     model: SpecularModel,
@@ -84,7 +85,7 @@ pub fn smoothed(
     let mut simpler: Option<(usize, Smoothing, f64)> = None;
     // Each simpler mesh is made of that before it.
     let mut last: Option<Mesh> = None;
-    for some in SMOOTHINGS.chunks(AT_ONCE) {
+    for (round, some) in SMOOTHINGS.chunks(AT_ONCE).enumerate() {
         go_on(watch.observer.progress("smoothing the surface", 0.3))?;
         let (coarser, _) = some[0];
         let known = simpler.take().filter(|(times, ..)| *times == coarser);
@@ -101,6 +102,10 @@ pub fn smoothed(
             |&(_, length): &(usize, f64)| Smoothed::of(solver, brdf, (&mesh, spacing), length);
         let found: Vec<_> = some.par_iter().filter_map(smooth).collect();
         tried.extend(found);
+        let is_worse = |least: &Smoothed| leaves_less(&least.left, &unsmoothed) > CHANCE;
+        if round == 0 && tried.iter().all(is_worse) {
+            return Ok(None);
+        }
         simpler = Some((coarser, mesh, spacing));
         least = tried.iter().map(Smoothed::total).fold(least, f64::min);
         let is_last = |last: &Smoothed| last.total() > TOO_MUCH * least;
