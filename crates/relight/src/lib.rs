@@ -23,6 +23,7 @@ mod fill;
 mod footprints;
 mod interreflection;
 mod irradiance;
+mod lamp_groups;
 mod lighting;
 pub mod lobes;
 mod measure;

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use glam::Vec3;
 
-use super::lighting;
+use super::lighting::lighting;
 use super::solve::{Measured, gloss, name_lamps};
 use rekindle_estimate::estimate::{
     Estimate, EstimateInput, EstimateParams, First, Method, Observer, Stopped, estimate,

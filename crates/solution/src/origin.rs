@@ -5,8 +5,9 @@ use std::path::Path;
 
 use siphasher::sip128::{Hasher128, SipHasher13};
 
+use super::folder::read_manifest;
 use super::format::VERSION;
-use super::{LightProbe, Solution, SolveOptions, read_manifest};
+use super::{LightProbe, Solution, SolveOptions};
 use rekindle_capture::Capture;
 
 /// A digest of what a solution is made of: the capture, the options, the light where it is given, the program. Hexadecimal.

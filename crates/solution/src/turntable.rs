@@ -7,7 +7,7 @@
 use glam::{DAffine3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::lighting;
+use super::lighting::lighting;
 use super::solve::{Measured, Sight, name_lamps, report_texture};
 use rekindle_capture::Mesh;
 use rekindle_estimate::estimate::{
