@@ -568,7 +568,7 @@ fn end(
         && solver.seen.turning.is_none();
     let agreement = if is_asked && !watch.observer.enough() {
         go_on(watch.observer.progress("comparing with the shading", 0.9))?;
-        Agreement::of(solver, &fit.nodes)
+        Agreement::of(solver, &fit.nodes, |point| !fit.is_metal_at(point.position))
     } else {
         None
     };

@@ -39,7 +39,7 @@ use super::workspace::Workspace;
 use super::{Estimate, EstimateInput};
 use rekindle_base::math::ranks::SURE;
 use rekindle_scene::hemisphere::HemisphereGrid;
-use rekindle_scene::reflectance::{Brdf, SpecularModel};
+use rekindle_scene::reflectance::{Brdf, Gloss, SpecularModel};
 use rekindle_scene::shortcuts::{Shortcut, Shortcuts};
 use rekindle_scene::surface::{GlossParts, Occluder};
 
@@ -116,6 +116,15 @@ pub struct Fit {
     pub misfit: Misfit,
     /// Parts of the surface whose gloss differs, where there are any.
     pub parts: Option<GlossParts>,
+}
+
+impl Fit {
+    /// Whether the surface is of metal at a place.
+    pub fn is_metal_at(&self, place: Vec3) -> bool {
+        let parts = self.parts.as_ref();
+        let gloss = parts.map_or(Gloss::MAIN, |parts| parts.glosses[parts.at(place)]);
+        self.brdf.at(gloss).is_metal()
+    }
 }
 
 /// The best fit on the coarsest cells.

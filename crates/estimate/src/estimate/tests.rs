@@ -501,7 +501,7 @@ fn shading_tells_lamps_to_half_a_degree() {
 fn shading_agrees_with_the_lamps_that_were_there_and_with_no_others() {
     with_solver(&load(), |solver| {
         let agreement = |lamps: &[(Vec3, f32)]| {
-            Agreement::of(solver, &lit(solver, lamps)).expect("there are lamps")
+            Agreement::of(solver, &lit(solver, lamps), |_| true).expect("there are lamps")
         };
         let there = [(LAMPS[0], FLUXES[0]), (LAMPS[1], FLUXES[1])];
         let close = agreement(&there);
@@ -518,6 +518,32 @@ fn shading_agrees_with_the_lamps_that_were_there_and_with_no_others() {
         let turn = glam::Quat::from_rotation_y(0.15);
         let far = agreement(&there.map(|(direction, flux)| (turn * direction, flux)));
         assert!(!far.is_close(), "{far:?}");
+    });
+}
+
+#[test]
+fn parts_of_metal_are_not_asked_whether_shading_agrees() {
+    // They show what lies on the other side.
+    let mut capture = load();
+    let occluder = Occluder::new(&capture.mesh);
+    for view in &mut capture.views {
+        let surface = ViewSurface::new(&capture.mesh, &occluder, &view.camera);
+        let pixels = Arc::make_mut(&mut view.photograph).radiance.iter_mut();
+        for (i, pixel) in pixels.enumerate() {
+            let (x, y) = (i as u32 % surface.width, i as u32 / surface.width);
+            let point = surface.point(&capture.mesh, &view.camera, x, y);
+            if let Some(point) = point.filter(|point| is_dull(point.position)) {
+                *pixel = [0.2 + point.normal.dot(-LAMPS[0]).max(0.0); 3];
+            }
+        }
+    }
+    with_solver(&capture, |solver| {
+        let there = lit(solver, &[(LAMPS[0], FLUXES[0]), (LAMPS[1], FLUXES[1])]);
+        let of_all = Agreement::of(solver, &there, |_| true).expect("there are lamps");
+        assert!(!of_all.is_close(), "{of_all:?}");
+        let is_painted = |point: &Point| !is_dull(point.position);
+        let of_paint = Agreement::of(solver, &there, is_painted).expect("there are lamps");
+        assert!(of_paint.is_close(), "{of_paint:?}");
     });
 }
 

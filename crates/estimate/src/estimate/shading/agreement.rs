@@ -8,6 +8,7 @@ use super::region::Receivers;
 use super::{FREQUENCY, POINTS, Shading, diffuse, over_mean, pairs};
 use crate::estimate::cells::Pyramid;
 use crate::estimate::fast::Solver;
+use crate::estimate::observations::Point;
 use crate::estimate::weights::magnitude;
 use rekindle_scene::hemisphere::{Lamp, find_lamps};
 
@@ -31,9 +32,13 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// Of lights of so much radiance on the solver's nodes; `None` where there are none.
-    pub fn of(solver: &Solver<'_>, nodes: &[[f32; 3]]) -> Option<Self> {
-        let observations = solver.colours(POINTS).measured();
+    /// Of lights of so much radiance on the solver's nodes, at the points that have a diffuse part; `None` where there are none.
+    pub fn of(
+        solver: &Solver<'_>,
+        nodes: &[[f32; 3]],
+        has_diffuse_part: impl Fn(&Point) -> bool,
+    ) -> Option<Self> {
+        let observations = (solver.colours(POINTS).measured()).of_points(has_diffuse_part);
         let pairs = pairs(&observations.points);
         let grid = solver.grid.to_whole();
         let pyramid = Pyramid::new(&grid, FREQUENCY);
