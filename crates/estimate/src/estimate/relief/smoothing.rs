@@ -65,8 +65,8 @@ impl Smoothed {
 
 /// The surface through a mesh that is as fine as the pictures, smoothed as much as these say: the smoothest that leaves of views
 /// that had no say no more than another one does, but for chance. What is smoothed much needs few triangles. Beside it whether it leaves
-/// less than the mesh itself, beyond chance, with a lobe of `model`. `None` where even the least smoothing leaves more than the mesh, beyond
-/// chance: what it smooths away is no noise.
+/// less than the mesh itself, beyond chance, with a lobe of `model`. `None` where even the least smooth ones leave more than the mesh,
+/// beyond chance: what is smoothed away is no noise.
 pub fn smoothed(
     solver: &Solver<'_>,
     model: SpecularModel,
@@ -102,8 +102,8 @@ pub fn smoothed(
             |&(_, length): &(usize, f64)| Smoothed::of(solver, brdf, (&mesh, spacing), length);
         let found: Vec<_> = some.par_iter().filter_map(smooth).collect();
         tried.extend(found);
-        let is_worse = |least: &Smoothed| leaves_less(&least.left, &unsmoothed) > CHANCE;
-        if round == 0 && tried.iter().all(is_worse) {
+        let is_worse = |smoothed: &Smoothed| leaves_less(&smoothed.left, &unsmoothed) > CHANCE;
+        if round == 0 && !tried.is_empty() && tried.iter().all(is_worse) {
             return Ok(None);
         }
         simpler = Some((coarser, mesh, spacing));
