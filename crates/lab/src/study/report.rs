@@ -259,6 +259,11 @@ fn stability_row(outcome: &Outcome, _: &Outcome) -> Vec<String> {
         "" => verdict.word().to_owned(),
         words => format!("{}: {words}", verdict.word()),
     };
+    let unsaid = if outcome.is_silently_wrong() {
+        "yes"
+    } else {
+        ""
+    };
     vec![
         of(&|f| percent(f.errors.sigma), 2, " %"),
         with_unit(interval.unwrap_or_default(), ""),
@@ -267,6 +272,7 @@ fn stability_row(outcome: &Outcome, _: &Outcome) -> Vec<String> {
         of(&|f| percent(f.errors.hemisphere), 1, " %"),
         with_unit(lamps.unwrap_or_default(), ""),
         words.replace('|', "\\|"),
+        unsaid.to_owned(),
     ]
 }
 
@@ -362,7 +368,7 @@ mod tests {
             interval: Some([-0.001, 0.001 + error]),
             errors: Errors {
                 sigma: Some(error),
-                direction_deg: Some(error),
+                direction_deg: Some(if case == 2 { 1.0 } else { error }),
                 flux: Some(error),
                 outside: Some(error),
                 missing: Some(0.0),
@@ -427,6 +433,13 @@ mod tests {
             both.contains("refused: Too \\| bad |"),
             "one sentence, escaped"
         );
+        let lines: Vec<&str> = both.lines().collect();
+        let cells = |line: &str| line.replace("\\|", "").matches('|').count();
+        for table in lines.chunk_by(|a, b| a.starts_with('|') && b.starts_with('|')) {
+            let of_head = cells(table[0]);
+            assert!(table.iter().all(|row| cells(row) == of_head), "{table:?}");
+        }
+        assert!(both.contains("| degrades: directions | yes |"));
         for link in both.split("](").skip(1) {
             let file = link.split(')').next().unwrap();
             assert!(folder.path().join(file).is_file(), "{file}");
