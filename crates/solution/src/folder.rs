@@ -37,6 +37,7 @@ pub(super) const STRENGTH: &str = "specular_strength.exr";
 const OBJ_HEAD: &str = "# written by rekindle; texture diffuse.exr\n";
 /// Least roughness of a texel as a multiple of the main one's, and one over the largest: what files say beyond is a mistake.
 const MIN_GLOSS_ROUGHNESS: f32 = 0.01;
+
 impl Solution {
     /// What `solution.json` says.
     pub fn summary(&self) -> serde_json::Value {

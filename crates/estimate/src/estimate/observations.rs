@@ -289,21 +289,22 @@ impl Observations {
     /// Every so many-th point, from that at `first` on.
     #[must_use]
     pub fn every(&self, step: usize, first: usize) -> Self {
-        let mut some = self.emptied();
-        for point in self.points.iter().skip(first).step_by(step) {
-            some.take(point, self.rows[point.rows.clone()].iter().copied());
-        }
-        some
+        self.only(self.points.iter().skip(first).step_by(step))
     }
 
     /// The points of a kind.
     #[must_use]
     pub fn of_points(&self, is_kept: impl Fn(&Point) -> bool) -> Self {
-        let mut kept = self.emptied();
-        for point in self.points.iter().filter(|point| is_kept(point)) {
-            kept.take(point, self.rows[point.rows.clone()].iter().copied());
+        self.only(self.points.iter().filter(|point| is_kept(point)))
+    }
+
+    /// The same with some of its points alone.
+    fn only<'p>(&self, points: impl Iterator<Item = &'p Point>) -> Self {
+        let mut some = self.emptied();
+        for point in points {
+            some.take(point, self.rows[point.rows.clone()].iter().copied());
         }
-        kept
+        some
     }
 
     /// The same without points.
