@@ -360,10 +360,17 @@ fn correction(correction: &Correction) -> Option<String> {
     /// Percent below which a change of exposure is not worth a word.
     const LEAST: f64 = 0.05;
     let mut parts = Vec::new();
-    if correction.turns() {
-        let [x, y, z] = correction.turn_deg;
-        let degrees = x.hypot(y).hypot(z);
-        parts.push(format!("camera turned by {degrees:.2}°"));
+    let length = |[x, y, z]: [f64; 3]| x.hypot(y).hypot(z);
+    let (degrees, shift) = (length(correction.turn_deg), length(correction.shift));
+    match (degrees > 0.0, shift > 0.0) {
+        (true, false) => parts.push(format!("camera turned by {degrees:.2}°")),
+        (false, true) => parts.push(format!("camera moved by {shift:.3}")),
+        (true, true) => {
+            parts.push(format!(
+                "camera turned by {degrees:.2}°, moved by {shift:.3}"
+            ));
+        }
+        (false, false) => {}
     }
     let percent = 100.0 * (correction.exposure - 1.0);
     if percent.abs() >= LEAST {

@@ -578,7 +578,7 @@ impl Measured {
             are_even,
         } = register(&stated.mesh, &stated.views, &self.surfaces, &self.occluder);
         let mut capture = corrected(stated, &corrections);
-        if corrections.iter().any(Correction::turns) {
+        if corrections.iter().any(Correction::moves) {
             self.surfaces = see(
                 &stated.mesh,
                 &capture.views,
@@ -804,7 +804,7 @@ fn skipped(found: &Estimate, corrections: &[Correction]) -> Skipped {
     let brdf = found.brdf;
     let stages = [
         (
-            corrections.iter().any(Correction::turns),
+            corrections.iter().any(Correction::moves),
             "looking again with cameras turned: outlines fit, or are taken as stated",
         ),
         (

@@ -17,15 +17,15 @@ use serde::{Deserialize, Serialize};
 pub use agreement::{Agreement, Exposure};
 pub use mask::within_outlines;
 
-use outline::Turn;
+use outline::{Fit, Motion};
 use rekindle_capture::{Capture, Mesh, Photograph, View};
 use rekindle_scene::surface::{Occluder, ViewSurface};
 
 /// Points of the surface at which the views are compared.
 const POINTS: usize = 5_000;
 
-/// A camera is turned if that moves its outline by this many pixels at least, this many times as far as the outlines are
-/// apart afterwards, and if the square of the turn over its standard error is at least this.
+/// A camera is moved if that moves its outline by this many pixels at least, this many times as far as the outlines are
+/// apart afterwards, and if the square of the turn over its standard error, or of the shift, is at least this.
 const LEAST_MOVE: f64 = 0.02;
 const LEAST_BETTER: f64 = 2.0;
 const LEAST_SIGNIFICANCE: f64 = 100.0;
@@ -33,7 +33,7 @@ const LEAST_SIGNIFICANCE: f64 = 100.0;
 /// the other.
 const MOST_WIDENED: f64 = 0.5;
 
-/// Turned cameras are kept unless the views then disagree more by this many standard errors.
+/// Moved cameras are kept unless the views then disagree more by this many standard errors.
 const CLEARLY_WORSE: f64 = 3.0;
 
 /// Views are taken to be exposed alike unless medians differ by this factor: what a varnish reflects at the rim, and what a
@@ -51,6 +51,9 @@ const LEAST_SAID: f64 = 0.5;
 pub struct Correction {
     /// Turn of the camera in its place, about a world axis, degrees.
     pub turn_deg: [f64; 3],
+    /// Shift of that place, mesh units, world.
+    #[serde(default)]
+    pub shift: [f64; 3],
     /// How much brighter the photograph is than the views' common scale.
     pub exposure: f64,
     /// And how much more so each of its channels, RGB.
@@ -66,6 +69,7 @@ impl Default for Correction {
     fn default() -> Self {
         Self {
             turn_deg: [0.0; 3],
+            shift: [0.0; 3],
             exposure: 1.0,
             balance: neutral(),
         }
@@ -73,9 +77,9 @@ impl Default for Correction {
 }
 
 impl Correction {
-    /// Whether the camera is turned.
-    pub fn turns(&self) -> bool {
-        self.turn_deg != [0.0; 3]
+    /// Whether the camera is turned or shifted.
+    pub fn moves(&self) -> bool {
+        self.turn_deg != [0.0; 3] || self.shift != [0.0; 3]
     }
 
     /// Whether the photograph is scaled.
@@ -93,6 +97,7 @@ impl Correction {
     pub fn of_camera(self) -> Self {
         Self {
             turn_deg: self.turn_deg,
+            shift: self.shift,
             ..Self::default()
         }
     }
@@ -102,21 +107,34 @@ impl Correction {
     pub fn with_gains(self, gains: [f64; 3]) -> Self {
         let exposure = (gains[0] * gains[1] * gains[2]).cbrt();
         Self {
-            turn_deg: self.turn_deg,
             exposure,
             balance: gains.map(|gain| gain / exposure),
+            ..self
         }
     }
 
-    fn rotation(&self) -> DQuat {
-        DQuat::from_scaled_axis(DVec3::from(self.turn_deg) * 1.0_f64.to_radians())
+    fn motion(&self) -> Motion {
+        Motion {
+            rotation: DQuat::from_scaled_axis(DVec3::from(self.turn_deg) * 1.0_f64.to_radians()),
+            shift: DVec3::from(self.shift),
+        }
+    }
+
+    /// What moves a camera so.
+    fn moving(motion: &Motion) -> Self {
+        let turn = motion.rotation.to_scaled_axis() * 1.0_f64.to_degrees();
+        Self {
+            turn_deg: turn.to_array(),
+            shift: motion.shift.to_array(),
+            ..Self::default()
+        }
     }
 
     /// The view with the correction made.
     fn applied(&self, view: &View) -> View {
         let mut corrected = view.clone();
-        if self.turns() {
-            corrected.camera = outline::turned(&view.camera, self.rotation());
+        if self.moves() {
+            corrected.camera = self.motion().applied(&view.camera);
         }
         if self.scales() {
             let factors = self.gains().map(|gain| gain.recip() as f32);
@@ -188,11 +206,9 @@ pub fn register(
     let before = Agreement::new(mesh, views, surfaces, POINTS);
     let mut corrections = vec![Correction::default(); views.len()];
     let mut agreement = &before;
-    let after = turned(mesh, views, surfaces, occluder, &before);
-    if let Some((turns, after)) = &after {
-        for (correction, turn) in corrections.iter_mut().zip(turns) {
-            correction.turn_deg = turn.to_array();
-        }
+    let after = moved(mesh, views, surfaces, occluder, &before);
+    if let Some((moved, after)) = &after {
+        corrections.clone_from(moved);
         agreement = after;
     }
     let differ = |gain: &f64| gain.ln().abs() > LEAST_RATIO.ln();
@@ -212,53 +228,39 @@ pub fn register(
     }
 }
 
-/// Turns of the cameras, degrees about world axes, with how the views agree after them; `None` if all stay where they are.
-fn turned(
+/// Motions of the cameras, with how the views agree after them; `None` if all stay where they are.
+fn moved(
     mesh: &Mesh,
     views: &[View],
     surfaces: &[ViewSurface],
     occluder: &Occluder,
     before: &Agreement,
-) -> Option<(Vec<DVec3>, Agreement)> {
-    let turns: Vec<Option<Turn>> = views
+) -> Option<(Vec<Correction>, Agreement)> {
+    let is_needed = |fit: &Fit| {
+        let unsure = (LEAST_BETTER * fit.left).max(MOST_WIDENED * fit.widened.abs());
+        let significance = fit.significance.into_iter().fold(0.0, f64::max);
+        fit.moved > LEAST_MOVE.max(unsure) && significance > LEAST_SIGNIFICANCE
+    };
+    let corrections: Vec<Correction> = views
         .par_iter()
         .zip(surfaces)
         .map(|(view, surface)| {
             let coverage = view.photograph.coverage.as_ref()?;
-            outline::turn(&view.camera, surface, occluder, coverage)
+            let fit = outline::fit(&view.camera, surface, (mesh, occluder), coverage)?;
+            is_needed(&fit).then(|| Correction::moving(&fit.motion))
         })
+        .map(Option::unwrap_or_default)
         .collect();
-    let is_needed = |turn: &Turn| {
-        let unsure = (LEAST_BETTER * turn.left).max(MOST_WIDENED * turn.widened.abs());
-        turn.moved > LEAST_MOVE.max(unsure) && turn.significance > LEAST_SIGNIFICANCE
-    };
-    if !turns.iter().flatten().any(is_needed) {
+    if !corrections.iter().any(Correction::moves) {
         return None;
     }
-    let degrees: Vec<DVec3> = turns
-        .iter()
-        .map(|turn| match turn {
-            Some(turn) if is_needed(turn) => turn.rotation.to_scaled_axis() * 1.0_f64.to_degrees(),
-            _ => DVec3::ZERO,
-        })
-        .collect();
-    let moved: Vec<View> = views
-        .iter()
-        .zip(&degrees)
-        .map(|(view, &turn_deg)| {
-            let turn_deg = turn_deg.to_array();
-            let turned = Correction {
-                turn_deg,
-                ..Correction::default()
-            };
-            turned.applied(view)
-        })
-        .collect();
+    let pairs = views.iter().zip(&corrections);
+    let moved: Vec<View> = pairs.map(|(view, c)| c.applied(view)).collect();
     let see = |view: &View| ViewSurface::new(mesh, occluder, &view.camera);
     let seen: Vec<ViewSurface> = moved.iter().map(see).collect();
     let after = Agreement::new(mesh, &moved, &seen, POINTS);
     let (gain, error) = after.gain_over(before);
-    (gain > -CLEARLY_WORSE * error).then_some((degrees, after))
+    (gain > -CLEARLY_WORSE * error).then_some((corrections, after))
 }
 
 /// What a user should know of corrections that were made, in whole sentences.
@@ -272,6 +274,17 @@ pub fn describe(corrections: &[Correction]) -> Vec<String> {
              or take them as stated (--as-stated).",
             if turned == 1 { "" } else { "s" },
             turns.fold(0.0, f64::max)
+        ));
+    }
+    let shifts = corrections.iter().map(|c| DVec3::from(c.shift).length());
+    let shifted = shifts.clone().filter(|&shift| shift > 0.0).count();
+    if shifted > 0 {
+        sentences.push(format!(
+            "Outlines fit the mesh only from elsewhere: the camera{} of {shifted} view{} moved by up to {:.3} of the mesh's \
+             units. Check the cameras, or take them as stated (--as-stated).",
+            if shifted == 1 { "" } else { "s" },
+            if shifted == 1 { " was" } else { "s were" },
+            shifts.fold(0.0, f64::max)
         ));
     }
     let percent = |ratio: f64| (ratio.ln().abs().exp() - 1.0) * 100.0;

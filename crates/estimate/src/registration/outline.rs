@@ -1,13 +1,17 @@
-//! Where a camera really looks: its photograph's outline against the mesh's.
+//! Where a camera really is and looks: its photograph's outline against the mesh's.
 //!
 //! Coverage integrated along a line across the outline is the length of the line inside the object, so it says where the
 //! outline is to a small part of a pixel, however pixels were filtered. What is found that way at many places of the mesh's
 //! outline is explained by turning the camera in its place, and by an outline that is too wide or too narrow all round:
-//! masks may be, and coarse meshes are.
+//! masks may be, and coarse meshes are. Where that leaves much, and moving the camera too brings the outlines together, it
+//! stood elsewhere.
 
-use glam::{DMat4, DQuat, DVec2, DVec3, DVec4};
+use faer::linalg::solvers::Solve;
+use faer::{Col, Mat, Side};
+use glam::{DMat3, DQuat, DVec2, DVec3};
 
-use rekindle_capture::Camera;
+use rekindle_base::math::median;
+use rekindle_capture::{Camera, Mesh};
 use rekindle_scene::surface::{NO_TRIANGLE, Occluder, ViewSurface};
 
 /// Most places of an outline that are looked at.
@@ -23,78 +27,195 @@ const STEP: f64 = 0.5;
 const WINDOW: i64 = 3;
 /// Halvings between a pixel that shows the object and its neighbour that doesn't.
 const HALVINGS: u32 = 9;
-/// Radians by which a camera is turned to see what that does.
-const TURN: f64 = 1e-6;
+/// Radians by which a camera is turned, and parts of its distance by which it is moved, to see what that does.
+const NUDGE: f64 = 1e-6;
 /// Rounds of reweighting; Tukey's limit in standard deviations.
 const ROUNDS: usize = 8;
 const LIMIT: f64 = 4.0;
+/// Standard deviation over the median size, for normal errors.
+const SPREAD: f64 = 1.4826;
+/// Reaches that differ by no more than this factor are not told apart.
+const ALIKE: f64 = 1.05;
 /// Parts of the outline that are left out in turn to find a standard error.
 const PARTS: usize = 16;
 
+/// A camera stood elsewhere if it is moved by so many times its standard error, squared, over three axes, and if half of the
+/// outline's places then lie so many times as near.
+const LEAST_SIGNIFICANCE: f64 = 100.0;
+const LEAST_NEARER: f64 = 2.0;
+/// How often the outline of a moved camera is looked for anew, and the pixels below which that has come to rest.
+const OUTLINES: usize = 4;
+const AT_REST: f64 = 0.1;
+
+/// Numbers of a motion: turns about the world's axes, and shifts along them in parts of the camera's distance.
+const TURNS: usize = 3;
+const MOTIONS: usize = 6;
+/// The same with the widening of the outline.
+const UNKNOWNS: usize = MOTIONS + 1;
+
 /// A place of the mesh's outline.
 struct Place {
-    /// Unit direction from the camera, world.
-    direction: DVec3,
+    /// Where the line of sight leaves the surface, world.
+    point: DVec3,
     /// Unit normal of the outline in the picture, away from the object.
     outward: DVec2,
 }
 
 /// A place whose outline was found in the photograph.
 struct Row {
-    /// Pixels, along the outline's normal, by which a turn about each axis of the world and a wider outline move it.
-    turns: DVec4,
-    /// The same of the first three, as a vector in the picture.
-    moves: [DVec2; 3],
+    /// Pixels, along the outline's normal, by which each unknown moves it.
+    along: [f64; UNKNOWNS],
+    /// The same of turns and shifts, as vectors in the picture.
+    moves: [DVec2; MOTIONS],
     /// Pixels by which the photograph's outline lies outside.
     offset: f64,
     /// Which part of the outline.
     part: usize,
 }
 
-/// How a camera has to be turned for the outlines to meet.
-#[derive(Clone, Copy, Debug)]
-pub struct Turn {
+impl Row {
+    fn left(&self, fit: &[f64; UNKNOWNS]) -> f64 {
+        let explained = self.along.iter().zip(fit).map(|(a, f)| a * f);
+        self.offset - explained.sum::<f64>()
+    }
+}
+
+/// Which numbers are sought.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Freedom {
+    Turn,
+    TurnAndShift,
+}
+
+impl Freedom {
+    /// The numbers' places among the unknowns.
+    fn unknowns(self) -> &'static [usize] {
+        match self {
+            Self::Turn => &[0, 1, 2, 6],
+            Self::TurnAndShift => &[0, 1, 2, 3, 4, 5, 6],
+        }
+    }
+}
+
+/// How a camera is moved.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Motion {
     /// Rotation in the world, about the camera's place.
     pub rotation: DQuat,
-    /// Root mean square of what that moves at the outline, pixels.
+    /// Shift of that place in the world, mesh units.
+    pub shift: DVec3,
+}
+
+impl Motion {
+    /// `camera` moved.
+    pub fn applied(&self, camera: &Camera) -> Camera {
+        let mut moved = camera.clone();
+        moved.world_from_camera.matrix3 =
+            DMat3::from_quat(self.rotation) * camera.world_from_camera.matrix3;
+        moved.world_from_camera.translation += self.shift;
+        moved
+    }
+
+    /// This one and then another.
+    fn then(&self, next: &Self) -> Self {
+        Self {
+            rotation: (next.rotation * self.rotation).normalize(),
+            shift: self.shift + next.shift,
+        }
+    }
+}
+
+/// How a camera has to be moved for the outlines to meet.
+#[derive(Clone, Copy, Debug)]
+pub struct Fit {
+    /// That motion.
+    pub motion: Motion,
+    /// Root mean square of what it moves at the outline, pixels.
     pub moved: f64,
-    /// Square of the turn in units of its standard error, over its three axes.
-    pub significance: f64,
+    /// Square of the turn in units of its standard error, over its three axes, and of the shift.
+    pub significance: [f64; 2],
     /// Pixels by which the photograph's outline is wider all round.
     pub widened: f64,
     /// Root mean square distance of the outlines after it, pixels, without the places left out as outliers.
     pub left: f64,
+    /// The median distance, of all places.
+    typical: f64,
 }
 
-/// The turn that brings the outline of `surface`, seen by `camera`, to that of `coverage`. `None` where too little of the
-/// outline is in the picture or can be told from what lies beside it.
-pub fn turn(
+/// The motion that brings the outline of `surface`, seen by `camera`, to that of `coverage`: a turn, unless the camera plainly
+/// stood elsewhere. `None` where too little of the outline is in the picture or can be told from what lies beside it.
+pub fn fit(
     camera: &Camera,
     surface: &ViewSurface,
-    occluder: &Occluder,
+    (mesh, occluder): (&Mesh, &Occluder),
     coverage: &[f32],
-) -> Option<Turn> {
+) -> Option<Fit> {
     let places = outline(camera, surface, occluder);
-    let mut rotation = DQuat::IDENTITY;
-    let mut reach = FIRST_REACH * f64::from(camera.width);
-    loop {
-        let last = reach <= LAST_REACH;
-        let rows = measure(&turned(camera, rotation), &places, coverage, reach);
-        let (fit, weights) = solve(&rows)?;
-        rotation = (DQuat::from_scaled_axis(fit.truncate()) * rotation).normalize();
-        if last {
-            return Some(judge(&rows, &weights, fit, rotation));
+    let (still, first) = (Motion::default(), FIRST_REACH * f64::from(camera.width));
+    let settled = |freedom, places: &[Place], start, reach| {
+        settle(camera, places, coverage, (freedom, start, reach))
+    };
+    let turned = settled(Freedom::Turn, &places, still, first)?;
+    let is_elsewhere = |fit: &Fit| {
+        LEAST_NEARER * fit.typical < turned.typical && fit.significance[1] > LEAST_SIGNIFICANCE
+    };
+    let Some(mut found) =
+        settled(Freedom::TurnAndShift, &places, still, first).filter(is_elsewhere)
+    else {
+        return Some(turned);
+    };
+    for _ in 1..OUTLINES {
+        // From elsewhere the outline is another line of the surface.
+        let moved = found.motion.applied(camera);
+        let surface = ViewSurface::new(mesh, occluder, &moved);
+        let places = outline(&moved, &surface, occluder);
+        let reach = (LIMIT * found.left).max(LAST_REACH);
+        let Some(next) = settled(Freedom::TurnAndShift, &places, found.motion, reach) else {
+            break;
+        };
+        let is_at_rest = (next.moved - found.moved).abs() < AT_REST;
+        found = next;
+        if is_at_rest {
+            break;
         }
-        reach = (0.5 * reach).max(LAST_REACH);
+    }
+    Some(if is_elsewhere(&found) { found } else { turned })
+}
+
+/// The motion from a start on that brings the outline to `places`, looked for within a reach that shrinks.
+fn settle(
+    camera: &Camera,
+    places: &[Place],
+    coverage: &[f32],
+    (freedom, mut motion, mut reach): (Freedom, Motion, f64),
+) -> Option<Fit> {
+    let distance = distance(camera, places);
+    loop {
+        let rows = measure(&motion.applied(camera), places, coverage, reach);
+        let (fit, weights) = solve(&rows, freedom)?;
+        motion = motion.then(&motion_of(&fit, distance));
+        // No less than the outlines lie apart: the places found within less would be the lucky ones.
+        let least = (LIMIT * SPREAD * middle(&left(&rows, &fit))).max(LAST_REACH);
+        if reach <= least * ALIKE {
+            return Some(judge(&rows, &weights, (&fit, freedom), (motion, distance)));
+        }
+        reach = (0.5 * reach).max(least);
     }
 }
 
-/// `camera` turned in its place.
-pub fn turned(camera: &Camera, rotation: DQuat) -> Camera {
-    let mut turned = camera.clone();
-    turned.world_from_camera.matrix3 =
-        glam::DMat3::from_quat(rotation) * camera.world_from_camera.matrix3;
-    turned
+/// How far the outline is from the camera, in the mean.
+fn distance(camera: &Camera, places: &[Place]) -> f64 {
+    let eye = camera.position();
+    let sum: f64 = places.iter().map(|place| place.point.distance(eye)).sum();
+    sum / places.len().max(1) as f64
+}
+
+fn motion_of(fit: &[f64; UNKNOWNS], distance: f64) -> Motion {
+    let [x, y, z, sx, sy, sz, _] = *fit;
+    Motion {
+        rotation: DQuat::from_scaled_axis(DVec3::new(x, y, z)),
+        shift: distance * DVec3::new(sx, sy, sz),
+    }
 }
 
 /// Places of the mesh's outline, evenly along it.
@@ -119,6 +240,7 @@ fn outline(camera: &Camera, surface: &ViewSurface, occluder: &Occluder) -> Vec<P
     }
     let every = crossings.len().div_ceil(PLACES).max(1);
     let eye = camera.position().as_vec3();
+    let to_camera = camera.world_from_camera.matrix3.transpose();
     let place = |&([x, y], [dx, dy]): &([i64; 2], [i64; 2])| {
         let mut slope = DVec2::ZERO;
         for v in -WINDOW..=WINDOW {
@@ -130,47 +252,56 @@ fn outline(camera: &Camera, surface: &ViewSurface, occluder: &Occluder) -> Vec<P
         }
         let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
         let step = DVec2::new(dx as f64, dy as f64);
+        let depth = f64::from(surface.depth[(y * width + x) as usize]);
+        let mut distance = depth / -(to_camera * camera.ray(pixel)).z;
         let (mut inside, mut outside) = (0.0, 1.0);
         for _ in 0..HALVINGS {
             let middle = 0.5 * (inside + outside);
             let ray = camera.ray(pixel + middle * step).as_vec3();
-            if occluder.hit(eye, ray).is_some() {
+            if let Some(hit) = occluder.hit(eye, ray) {
                 inside = middle;
+                distance = f64::from(hit.distance);
             } else {
                 outside = middle;
             }
         }
+        let ray = camera.ray(pixel + 0.5 * (inside + outside) * step);
         Some(Place {
-            direction: camera.ray(pixel + 0.5 * (inside + outside) * step),
+            point: camera.position() + distance * ray,
             outward: slope.try_normalize()?,
         })
     };
     crossings.iter().step_by(every).filter_map(place).collect()
 }
 
-/// Finds the photograph's outline near each place as the turned camera sees it.
+/// Finds the photograph's outline near each place as the moved camera sees it.
 fn measure(camera: &Camera, places: &[Place], coverage: &[f32], reach: f64) -> Vec<Row> {
     let eye = camera.position();
+    let distance = distance(camera, places);
     let centre = places
         .iter()
-        .filter_map(|place| camera.project(eye + place.direction))
+        .filter_map(|place| camera.project(place.point))
         .sum::<DVec2>()
         / places.len().max(1) as f64;
     places
         .iter()
         .filter_map(|place| {
-            let at = camera.project(eye + place.direction)?;
+            let at = camera.project(place.point)?;
             // What the first camera's picture calls outward; turns are small.
             let offset = offset(camera, coverage, at, place.outward, reach)?;
-            let mut moves = [DVec2::ZERO; 3];
-            for (axis, moved) in [DVec3::X, DVec3::Y, DVec3::Z].into_iter().zip(&mut moves) {
-                let direction = place.direction - TURN * axis.cross(place.direction);
-                *moved = (camera.project(eye + direction)? - at) / TURN;
+            let mut moves = [DVec2::ZERO; MOTIONS];
+            for (k, moved) in moves.iter_mut().enumerate() {
+                let axis = DVec3::AXES[k % TURNS];
+                let by = if k < TURNS {
+                    axis.cross(place.point - eye)
+                } else {
+                    distance * axis
+                };
+                *moved = (camera.project(place.point - NUDGE * by)? - at) / NUDGE;
             }
-            let [x, y, z] = moves.map(|m| m.dot(place.outward));
             let angle = (at - centre).to_angle() / std::f64::consts::TAU + 0.5;
             Some(Row {
-                turns: DVec4::new(x, y, z, 1.0),
+                along: std::array::from_fn(|k| moves.get(k).map_or(1.0, |m| m.dot(place.outward))),
                 moves,
                 offset,
                 part: ((angle * PARTS as f64) as usize).min(PARTS - 1),
@@ -222,76 +353,105 @@ fn bilinear(camera: &Camera, values: &[f32], at: DVec2) -> Option<f64> {
     Some(top * (1.0 - part.y) + bottom * part.y)
 }
 
-/// Turn about the three axes and widening that explain the offsets best, with each row's weight.
-fn solve(rows: &[Row]) -> Option<(DVec4, Vec<f64>)> {
+/// The unknowns that explain the offsets best, those not sought 0, with each row's weight.
+fn solve(rows: &[Row], freedom: Freedom) -> Option<([f64; UNKNOWNS], Vec<f64>)> {
     if rows.len() < ENOUGH {
         return None;
     }
     let mut weights = vec![1.0; rows.len()];
-    let mut fit = least_squares(rows, &weights, None)?;
+    let mut fit = least_squares(rows, &weights, freedom, None)?;
     for _ in 0..ROUNDS {
-        let residuals: Vec<f64> = rows.iter().map(|r| r.offset - r.turns.dot(fit)).collect();
-        let mut sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
-        let (_, &mut middle, _) = sizes.select_nth_unstable_by(rows.len() / 2, f64::total_cmp);
-        let limit = LIMIT * (1.4826 * middle).max(1e-6);
+        let residuals = left(rows, &fit);
+        let limit = LIMIT * (SPREAD * middle(&residuals)).max(1e-6);
         for (weight, residual) in weights.iter_mut().zip(&residuals) {
             *weight = (1.0 - (residual / limit).powi(2)).max(0.0).powi(2);
         }
-        fit = least_squares(rows, &weights, None)?;
+        fit = least_squares(rows, &weights, freedom, None)?;
     }
     Some((fit, weights))
 }
 
+/// What some unknowns leave of the rows' offsets.
+fn left(rows: &[Row], fit: &[f64; UNKNOWNS]) -> Vec<f64> {
+    rows.iter().map(|row| row.left(fit)).collect()
+}
+
+/// The median size.
+fn middle(residuals: &[f64]) -> f64 {
+    let mut sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
+    median(&mut sizes).unwrap_or(0.0)
+}
+
 /// Weighted least squares without the rows of one part of the outline.
-fn least_squares(rows: &[Row], weights: &[f64], without: Option<usize>) -> Option<DVec4> {
-    let mut normal = DMat4::ZERO;
-    let mut right = DVec4::ZERO;
+fn least_squares(
+    rows: &[Row],
+    weights: &[f64],
+    freedom: Freedom,
+    without: Option<usize>,
+) -> Option<[f64; UNKNOWNS]> {
+    let sought = freedom.unknowns();
+    let mut normal = Mat::<f64>::zeros(sought.len(), sought.len());
+    let mut right = Col::<f64>::zeros(sought.len());
     for (row, &weight) in rows.iter().zip(weights) {
         if Some(row.part) == without {
             continue;
         }
-        let scaled = weight * row.turns;
-        normal += DMat4::from_cols(
-            scaled * row.turns.x,
-            scaled * row.turns.y,
-            scaled * row.turns.z,
-            scaled * row.turns.w,
-        );
-        right += scaled * row.offset;
+        for (i, &a) in sought.iter().enumerate() {
+            right[i] += weight * row.along[a] * row.offset;
+            for (j, &b) in sought.iter().enumerate() {
+                normal[(i, j)] += weight * row.along[a] * row.along[b];
+            }
+        }
     }
-    let fit = normal.inverse() * right;
-    fit.is_finite().then_some(fit)
+    let solution = normal.llt(Side::Lower).ok()?.solve(right);
+    let mut fit = [0.0; UNKNOWNS];
+    for (i, &a) in sought.iter().enumerate() {
+        fit[a] = solution[i];
+    }
+    fit.iter().all(|value| value.is_finite()).then_some(fit)
 }
 
-/// How much a turn does and how sure it is: the jackknife over parts of the outline.
-fn judge(rows: &[Row], weights: &[f64], fit: DVec4, rotation: DQuat) -> Turn {
-    let total = rotation.to_scaled_axis();
-    let replicates: Vec<DVec3> = (0..PARTS)
-        .filter_map(|part| Some(least_squares(rows, weights, Some(part))?.truncate()))
+/// How much a motion does and how sure it is: the jackknife over parts of the outline.
+fn judge(
+    rows: &[Row],
+    weights: &[f64],
+    (fit, freedom): (&[f64; UNKNOWNS], Freedom),
+    (motion, distance): (Motion, f64),
+) -> Fit {
+    let (turn, shift) = (motion.rotation.to_scaled_axis(), motion.shift / distance);
+    let replicates: Vec<[f64; UNKNOWNS]> = (0..PARTS)
+        .filter_map(|part| least_squares(rows, weights, freedom, Some(part)))
         .collect();
+    let moved = |row: &Row| {
+        let total = turn.to_array().into_iter().chain(shift.to_array());
+        let sum: DVec2 = row.moves.iter().zip(total).map(|(&m, by)| m * by).sum();
+        sum.length_squared()
+    };
+    let residuals = left(rows, fit);
+    let weighted = residuals.iter().zip(weights).map(|(r, w)| w * r * r);
+    let shifted = match freedom {
+        Freedom::Turn => 0.0,
+        Freedom::TurnAndShift => significance(shift, &replicates, TURNS),
+    };
+    Fit {
+        motion,
+        moved: (rows.iter().map(moved).sum::<f64>() / rows.len() as f64).sqrt(),
+        significance: [significance(turn, &replicates, 0), shifted],
+        widened: fit[MOTIONS],
+        left: (weighted.sum::<f64>() / weights.iter().sum::<f64>().max(1.0)).sqrt(),
+        typical: middle(&residuals),
+    }
+}
+
+/// The square of three numbers in units of their standard error, which their replicates, from unknown `first` on, tell.
+fn significance(total: DVec3, replicates: &[[f64; UNKNOWNS]], first: usize) -> f64 {
     let count = replicates.len() as f64;
-    let mean = replicates.iter().sum::<DVec3>() / count;
-    let mut covariance = glam::DMat3::ZERO;
-    for replicate in &replicates {
-        let off = *replicate - mean;
-        covariance += glam::DMat3::from_cols(off * off.x, off * off.y, off * off.z);
+    let own = |fit: &[f64; UNKNOWNS]| DVec3::from_slice(&fit[first..]);
+    let mean = replicates.iter().map(own).sum::<DVec3>() / count;
+    let mut covariance = DMat3::ZERO;
+    for off in replicates.iter().map(|fit| own(fit) - mean) {
+        covariance += DMat3::from_cols(off * off.x, off * off.y, off * off.z);
     }
     covariance *= (count - 1.0) / count;
-    let moved = |row: &Row| {
-        let [x, y, z] = row.moves;
-        (x * total.x + y * total.y + z * total.z).length_squared()
-    };
-    let mut squares = 0.0;
-    let mut weight = 0.0;
-    for (row, w) in rows.iter().zip(weights) {
-        squares += w * (row.offset - row.turns.dot(fit)).powi(2);
-        weight += w;
-    }
-    Turn {
-        rotation,
-        moved: (rows.iter().map(moved).sum::<f64>() / rows.len() as f64).sqrt(),
-        significance: total.dot(covariance.inverse() * total),
-        widened: fit.w,
-        left: (squares / weight.max(1.0)).sqrt(),
-    }
+    total.dot(covariance.inverse() * total)
 }
