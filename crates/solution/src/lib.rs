@@ -35,6 +35,7 @@ mod lighting;
 mod materials;
 mod mesh_file;
 mod mirrored;
+mod odd_views;
 mod origin;
 mod placed;
 mod solve;

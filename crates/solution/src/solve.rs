@@ -8,6 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::mirrored::{diffuse_guess, without_mirrored};
+use super::odd_views::{OddViews, without};
 use super::turntable::{SelfLit, lightings};
 use super::{
     Fit, HemispherePicture, KnownLight, LightProbe, Skipped, Solution, SolutionLamp, lighting,
@@ -20,9 +21,9 @@ use rekindle_estimate::estimate::{
     Observer, Stopped, bears_out, estimate, estimate_under, gains_by_lights, left_of_others,
     stands_with_camera, watched,
 };
-use rekindle_estimate::preflight::misplacements;
+use rekindle_estimate::preflight::{Finding, misplacements, why_misplaced};
 use rekindle_estimate::registration::{
-    Correction, Registered, corrected, describe, register, within_outlines,
+    Correction, Registered, corrected, describe, evened, register, within_outlines,
 };
 use rekindle_relight::{
     Albedo, Ambient, DiffuseTexture, GlossMap, Interreflection, LightOfViews, Lighting, Scene,
@@ -153,24 +154,21 @@ pub fn solve_under(
         measured.registered(stated, (&grid, &options.estimate), observer)?
     };
     let motions = capture.motions();
-    let misplaced = misplacements(
-        &capture.views,
-        &measured.surfaces,
-        &stated.mesh,
-        &measured.occluder,
-    );
+    let misplaced = measured.misplaced(&capture);
     clock.lap("surface");
 
     let (pictures, mut minimum) = hemispheres(&capture, &measured, &grid, observer)?;
     clock.lap("hemispheres");
 
     report(observer, ESTIMATE)?;
-    let input = measured.input(&capture, &grid);
-    let (mut found, known_light) = found(&input, &options.estimate, light, &mut Part { observer })?;
-    if !found.exposures.is_empty() {
-        corrections = with_exposures(corrections, &found.exposures);
-        capture = corrected(stated, &corrections);
-    }
+    let on = (&measured, &grid);
+    let Found {
+        estimate: mut found,
+        known_light,
+        odd,
+    } = found(&capture, on, options, light, &misplaced, observer)?;
+    capture = as_found(capture, odd.as_ref(), &found.exposures);
+    corrections = with_exposures(corrections, &found.exposures);
     if let Some(refined) = &found.refined {
         capture.to_mut().mesh = refined.mesh.clone();
         measured = Measured::new(&capture.mesh, &capture.views, observer, TEXTURE)?;
@@ -196,6 +194,7 @@ pub fn solve_under(
     let atlas = measured.atlas;
 
     let unlike = (motions.as_ref()).and_then(|_| unlike_photographs(&texture.fit));
+    let misplaced = why_not_placed(&misplaced, odd.as_ref());
     let is_sound = misplaced.is_empty() && unlike.is_none();
     let mut skipped = skipped(&found, &corrections);
     skipped.left_out.extend(left_out);
@@ -207,6 +206,7 @@ pub fn solve_under(
         describe(&corrections),
         atlas.warnings.clone(),
         misplaced,
+        odd.map(|odd| odd.warning).into_iter().collect(),
         unlike.into_iter().collect(),
     ];
     Ok(Solution {
@@ -367,24 +367,66 @@ fn with_warnings(found: Diagnostics, is_sound: bool, before: &[Vec<String>]) -> 
     }
 }
 
-/// Roughness and light; under `light` where that is known.
+/// Roughness and light.
+struct Found {
+    estimate: Estimate,
+    known_light: Option<KnownLight>,
+    /// The views that were left out for it.
+    odd: Option<OddViews>,
+}
+
+/// Why what is found is not to be trusted for where views are, other than those left out.
+fn why_not_placed(misplaced: &[(Option<usize>, Finding)], odd: Option<&OddViews>) -> Vec<String> {
+    let is_left_out = |view: usize| odd.is_some_and(|odd| odd.views.contains(&view));
+    let kept = misplaced
+        .iter()
+        .filter(|(view, _)| !view.is_some_and(is_left_out));
+    why_misplaced(kept.map(|(_, finding)| finding))
+}
+
+/// Roughness and light; under `light` where that is known. Otherwise without views that don't lie where the mesh is or contradict the
+/// others, where that explains more.
 fn found(
-    input: &EstimateInput<'_>,
-    params: &EstimateParams,
+    capture: &Capture,
+    (measured, grid): (&Measured, &HemisphereGrid),
+    options: &SolveOptions,
     light: Option<&LightProbe>,
+    misplaced: &[(Option<usize>, Finding)],
     observer: &mut dyn Observer,
-) -> Result<(Estimate, Option<KnownLight>), Stopped> {
-    let Some(probe) = light else {
-        return Ok((estimate(input, params, observer)?, None));
+) -> Result<Found, Stopped> {
+    let input = measured.input(capture, grid);
+    let (params, observer) = (&options.estimate, &mut Part { observer });
+    let of_all = |estimate, known_light| Found {
+        estimate,
+        known_light,
+        odd: None,
     };
-    let given = GivenLight {
-        nodes: &|turn| probe.on_nodes(input.grid, turn),
-        turn: probe.turn,
-    };
-    let under = estimate_under(input, params, &given, observer)?;
-    let brdf = under.estimate.brdf;
-    let known = KnownLight::new(probe, under.turn, brdf, under.specular_scale);
-    Ok((under.estimate, Some(known)))
+    if let Some(probe) = light {
+        let given = GivenLight {
+            nodes: &|turn| probe.on_nodes(grid, turn),
+            turn: probe.turn,
+        };
+        let under = estimate_under(&input, params, &given, observer)?;
+        let brdf = under.estimate.brdf;
+        let known = KnownLight::new(probe, under.turn, brdf, under.specular_scale);
+        return Ok(of_all(under.estimate, Some(known)));
+    }
+    let all = estimate(&input, params, observer)?;
+    let misplaced = misplaced.iter().filter_map(|(view, _)| *view);
+    let mut odd: Vec<usize> = misplaced.chain(all.odd_view).collect();
+    odd.sort_unstable();
+    odd.dedup();
+    if params.as_stated {
+        return Ok(of_all(all, None));
+    }
+    Ok(match without(&input, params, (&all, odd), observer)? {
+        Some((estimate, odd)) => Found {
+            estimate,
+            known_light: None,
+            odd: Some(odd),
+        },
+        None => of_all(all, None),
+    })
 }
 
 /// The gloss of every texel, where parts of the surface differ.
@@ -561,6 +603,12 @@ impl Measured {
         }
     }
 
+    /// What is wrong with where cameras and mesh are.
+    fn misplaced(&self, capture: &Capture) -> Vec<(Option<usize>, Finding)> {
+        let Capture { views, mesh, .. } = capture;
+        misplacements(views, &self.surfaces, mesh, &self.occluder)
+    }
+
     /// The least that the views of a capture show of each texel.
     fn minimum(&self, capture: &Capture) -> MinimumTexture {
         minimum_texture(&capture.mesh, &self.atlas, &capture.views, &self.surfaces)
@@ -669,8 +717,24 @@ fn see(
     Ok(surfaces)
 }
 
+/// The capture with exposures evened out as was found, without what odd views show beside others.
+fn as_found<'c>(
+    capture: Cow<'c, Capture>,
+    odd: Option<&OddViews>,
+    exposures: &[f64],
+) -> Cow<'c, Capture> {
+    let shown = odd.map_or(capture, |odd| Cow::Owned(odd.capture.clone()));
+    if exposures.is_empty() {
+        return shown;
+    }
+    Cow::Owned(evened(&shown, exposures).into_owned())
+}
+
 /// Corrections, if there were any, with what else was found of the views' exposures.
 fn with_exposures(mut corrections: Vec<Correction>, exposures: &[f64]) -> Vec<Correction> {
+    if exposures.is_empty() {
+        return corrections;
+    }
     corrections.resize(exposures.len(), Correction::default());
     for (correction, factor) in corrections.iter_mut().zip(exposures) {
         correction.exposure *= factor;

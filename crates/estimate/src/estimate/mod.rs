@@ -204,6 +204,8 @@ pub struct Estimate {
     /// What it leaves of the differences between views beyond noise, as a part of them; see [`misfit`]. Nothing where there are no
     /// lights, or they are not of the default method.
     pub misfit: Option<f64>,
+    /// The view that contradicts the others, where one is suspected to.
+    pub odd_view: Option<usize>,
     /// What was left out.
     pub left_out: Vec<LeftOut>,
 }
@@ -226,6 +228,7 @@ impl Estimate {
             refined: None,
             exposures: Vec::new(),
             misfit: None,
+            odd_view: None,
             left_out: Vec::new(),
         }
     }
@@ -680,6 +683,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
     let suspicion = suspicion
         .as_ref()
         .filter(|s| diagnose::is_worth_saying(s, &fit.misfit, by_noise));
+    result.odd_view = suspicion.and_then(Suspicion::view);
     // No curvature, no end.
     let undetermined = diagnose::is_undetermined(&fit).then_some(course::ROUGHEST.max(sigma));
     let bound = bound.or(undetermined);

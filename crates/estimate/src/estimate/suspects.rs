@@ -50,6 +50,16 @@ pub struct Suspicion {
     pub sigma_ratio: f32,
 }
 
+impl Suspicion {
+    /// The view that is suspected, if it is one.
+    pub fn view(&self) -> Option<usize> {
+        match self.suspect {
+            Suspect::View(view) => Some(view),
+            _ => None,
+        }
+    }
+}
+
 /// How much rougher and smoother a lobe is made to see whether its roughness is determined, and that of a changed fit …
 const ROUGHER: f32 = 1.5;
 /// … starting at this σ and within this range, radians.

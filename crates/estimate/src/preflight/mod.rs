@@ -147,22 +147,29 @@ fn mean_overlap(views: &[ViewReport]) -> Option<f64> {
     (!known.is_empty()).then(|| sum / known.len() as f64)
 }
 
-/// Why a solve's result is not to be trusted for where cameras and mesh are, in whole sentences: the findings from
-/// [`Severity::Warning`] on, each kind once with the first view that has it. One surface a view.
+/// What is wrong with where cameras and mesh are: the findings from [`Severity::Warning`] on, the worst first, each with the view that it is
+/// about, if it is about one. One surface a view.
 pub fn misplacements(
     views: &[View],
     surfaces: &[ViewSurface],
     mesh: &Mesh,
     occluder: &Occluder,
-) -> Vec<String> {
+) -> Vec<(Option<usize>, Finding)> {
     let reports: Vec<ViewReport> = (views.par_iter().zip(surfaces))
         .map(|(view, surface)| {
             ViewReport::new(view, PixelCounts::default(), surface, mesh, occluder)
         })
         .collect();
-    let mut found = findings::judge_places(&reports);
-    found.retain(|finding| finding.severity >= Severity::Warning);
-    let mut kinds: Vec<(Finding, usize)> = Vec::new();
+    let found = findings::judge_places(&reports).into_iter();
+    let severe = found.filter(|finding| finding.severity >= Severity::Warning);
+    let of = |finding: &Finding| views.iter().position(|view| view.name == finding.subject);
+    severe.map(|finding| (of(&finding), finding)).collect()
+}
+
+/// Why a solve's result is not to be trusted for some of [`misplacements`], in whole sentences: each kind once with the first view that
+/// has it.
+pub fn why_misplaced<'a>(found: impl IntoIterator<Item = &'a Finding>) -> Vec<String> {
+    let mut kinds: Vec<(&Finding, usize)> = Vec::new();
     for finding in found {
         match kinds
             .iter_mut()
@@ -172,9 +179,9 @@ pub fn misplacements(
             None => kinds.push((finding, 1)),
         }
     }
-    kinds
-        .into_iter()
-        .map(|(finding, times)| sentence(&finding, times))
+    let sentences = kinds.into_iter();
+    sentences
+        .map(|(finding, times)| sentence(finding, times))
         .collect()
 }
 

@@ -151,16 +151,17 @@ pub fn fit(
     coverage: &[f32],
 ) -> Option<Fit> {
     let places = outline(camera, surface, occluder);
-    let (still, first) = (Motion::default(), FIRST_REACH * f64::from(camera.width));
+    let first = FIRST_REACH * f64::from(camera.width);
+    let start = towards(camera, surface, coverage, 0.5 * first);
     let settled = |freedom, places: &[Place], start, reach| {
         settle(camera, places, coverage, (freedom, start, reach))
     };
-    let turned = settled(Freedom::Turn, &places, still, first)?;
+    let turned = settled(Freedom::Turn, &places, start, first)?;
     let is_elsewhere = |fit: &Fit| {
         LEAST_NEARER * fit.typical < turned.typical && fit.significance[1] > LEAST_SIGNIFICANCE
     };
     let Some(mut found) =
-        settled(Freedom::TurnAndShift, &places, still, first).filter(is_elsewhere)
+        settled(Freedom::TurnAndShift, &places, start, first).filter(is_elsewhere)
     else {
         return Some(turned);
     };
@@ -180,6 +181,37 @@ pub fn fit(
         }
     }
     Some(if is_elsewhere(&found) { found } else { turned })
+}
+
+/// The turn that brings the middle of what the mesh covers to that of what the object does, if they are more than `least` pixels apart.
+fn towards(camera: &Camera, surface: &ViewSurface, coverage: &[f32], least: f64) -> Motion {
+    let width = surface.width as usize;
+    let middle = |covered: &mut dyn Iterator<Item = (usize, bool)>| {
+        let (mut sum, mut count) = (DVec2::ZERO, 0.0);
+        for (i, _) in covered.filter(|(_, is_covered)| *is_covered) {
+            sum += DVec2::new((i % width) as f64, (i / width) as f64) + 0.5;
+            count += 1.0;
+        }
+        (count > 0.0).then(|| sum / count)
+    };
+    let mesh = middle(
+        &mut surface
+            .triangle
+            .iter()
+            .map(|&t| t != NO_TRIANGLE)
+            .enumerate(),
+    );
+    let object = middle(&mut coverage.iter().map(|&c| c > 0.5).enumerate());
+    let rotation = match (mesh, object) {
+        (Some(mesh), Some(object)) if mesh.distance(object) > least => {
+            DQuat::from_rotation_arc(camera.ray(object), camera.ray(mesh))
+        }
+        _ => DQuat::IDENTITY,
+    };
+    Motion {
+        rotation,
+        ..Motion::default()
+    }
 }
 
 /// The motion from a start on that brings the outline to `places`, looked for within a reach that shrinks.
