@@ -120,6 +120,9 @@ impl Distortion {
         if self.fisheye {
             return self.remove_fisheye(d);
         }
+        if self.p == [0.0; 2] {
+            return d * self.radial_inverse(d.length_squared());
+        }
         let mut u = d;
         for _ in 0..20 {
             let (at, slopes) = self.apply_with_slopes(u);
@@ -130,6 +133,23 @@ impl Distortion {
             u -= slopes.inverse() * off;
         }
         u
+    }
+
+    /// By what distorted coordinates of a squared radius have to be scaled, for a lens without tangential coefficients, by Newton's method.
+    fn radial_inverse(&self, d2: f64) -> f64 {
+        let mut scale = 1.0;
+        for _ in 0..20 {
+            let r2 = scale * scale * d2;
+            let ([top, bottom], [top_slope, bottom_slope]) = self.radial(r2);
+            let off = scale * top - bottom;
+            // The derivatives of both by the scale, of which either is a polynomial.
+            let slope = top + 2.0 * r2 * top_slope - 2.0 * scale * d2 * bottom_slope;
+            if off * off * d2 < 1e-24 || slope.abs() < 1e-9 {
+                break;
+            }
+            scale -= off / slope;
+        }
+        scale
     }
 
     /// [`Distortion::apply`] where the lens is no fisheye, with the derivatives by both coordinates.
@@ -268,6 +288,23 @@ mod tests {
                     (difference - slope).length() < 1e-9,
                     "{difference} for {slope}"
                 );
+            }
+        }
+    }
+    #[test]
+    fn removing_a_distortion_undoes_applying_it() {
+        for p in [[0.0, 0.0], [0.004, -0.003]] {
+            for denominator in [[0.0; 3], [0.02, -0.01, 0.005]] {
+                let lens = Distortion {
+                    k: [-0.3, 0.12, 0.02, -0.01],
+                    p,
+                    denominator,
+                    fisheye: false,
+                };
+                for u in [DVec2::ZERO, DVec2::new(0.5, -0.3), DVec2::new(-0.2, 0.7)] {
+                    let back = lens.remove(lens.apply(u));
+                    assert!((back - u).length() < 1e-11, "{back} for {u} of {lens:?}");
+                }
             }
         }
     }
