@@ -39,10 +39,11 @@ const ALIKE: f64 = 1.05;
 /// Parts of the outline that are left out in turn to find a standard error.
 const PARTS: usize = 16;
 
-/// A camera stood elsewhere if it is moved by so many times its standard error, squared, over three axes, and if half of the
-/// outline's places then lie so many times as near.
+/// A camera stood elsewhere if the square of its shift over the standard error is at least this, and if the median place of the
+/// outline then lies so many times as near. Of 259 cameras of captures as rendered, scanned and shot the six that were shifted by
+/// 1.5 or 2 % of their distance have 4,900 and 1.9 times or more.
 const LEAST_SIGNIFICANCE: f64 = 100.0;
-const LEAST_NEARER: f64 = 2.0;
+const LEAST_NEARER: f64 = 1.5;
 /// How often the outline of a moved camera is looked for anew, and the pixels below which that has come to rest.
 const OUTLINES: usize = 4;
 const AT_REST: f64 = 0.1;
