@@ -4,6 +4,7 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
+use glam::Vec3;
 use rayon::prelude::*;
 
 use rekindle_capture::{Capture, Photograph, View};
@@ -35,7 +36,9 @@ pub fn without(
 ) -> Result<Option<(Estimate, OddViews)>, Stopped> {
     let capture = input.capture;
     let left = capture.views.len() - odd.len();
-    if odd.is_empty() || left < FEWEST_VIEWS || observer.enough() {
+    // More than half that are off are no exceptions. Where the object turned, all is told from the first view.
+    let may_be_left_out = !odd.is_empty() && left >= FEWEST_VIEWS.max(odd.len() + 1);
+    if !may_be_left_out || capture.motions().is_some() || observer.enough() {
         return Ok(None);
     }
     let is_kept = |index: &usize| odd.binary_search(index).is_err();
@@ -87,7 +90,7 @@ fn where_alone(input: &EstimateInput<'_>, index: usize, others: &[ViewSurface]) 
             pixel as u32 / photograph.width,
         );
         let point = surface.point(&input.capture.mesh, &view.camera, x, y);
-        let is_seen = |p: glam::Vec3| others.iter().any(|other| other.sees(p).is_some());
+        let is_seen = |p: Vec3| others.iter().any(|other| other.sees(p).is_some());
         point.is_some_and(|point| !is_seen(point.position))
     };
     let usable = photograph.usable.par_iter().enumerate();
@@ -120,4 +123,24 @@ fn told<'a>(names: impl Iterator<Item = &'a str>) -> String {
         "{views} {names} {verb} left out: without, roughness and lights explain more, and textures show of it only what no other view \
          does. Check {their} camera, focus, and whether the light was the same."
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_that_were_left_out_are_named() {
+        let one = told(["a.jpg"].into_iter());
+        assert!(
+            one.starts_with("The view a.jpg contradicts the others and was left out"),
+            "{one}"
+        );
+        let three = told(["a.jpg", "b.jpg", "c.jpg"].into_iter());
+        assert!(
+            three.starts_with("The views a.jpg, b.jpg and c.jpg contradict"),
+            "{three}"
+        );
+        assert!(three.contains("Check their camera"), "{three}");
+    }
 }

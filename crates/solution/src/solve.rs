@@ -869,7 +869,7 @@ fn skipped(found: &Estimate, corrections: &[Correction]) -> Skipped {
     let stages = [
         (
             corrections.iter().any(Correction::moves),
-            "looking again with cameras turned: outlines fit, or are taken as stated",
+            "looking again with cameras turned or moved: outlines fit, or are taken as stated",
         ),
         (
             corrections.iter().any(Correction::scales),
