@@ -1,5 +1,5 @@
 //! One thing that is wrong with what a capture states, as it happens to people: the photographs' encoding, background or white
-//! balance, one view's exposure or camera, a mesh with holes, hot pixels.
+//! balance, one view's exposure, focus or camera, a mesh with holes, hot pixels.
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
 
@@ -15,6 +15,10 @@ const BRIGHTER: f32 = 4.0;
 const WHITE_BALANCE: [f32; 3] = [1.05, 1.0, 0.95];
 /// Angle by which its camera is stated to stand further round the object, radians.
 const ORBIT: f64 = 0.5 * std::f64::consts::PI / 180.0;
+/// Part of its distance by which it is stated to stand nearer.
+const NEARER: f64 = 0.02;
+/// Half side of the square over which a view out of focus is even, in parts of its width.
+const DEFOCUS: f64 = 0.01;
 /// Radiance behind the object, in parts of its mean.
 const BACKGROUND: f32 = 1.0;
 /// Part of the triangles that are missing.
@@ -32,6 +36,8 @@ impl Mistake {
             Self::BrighterView => "one view ×4",
             Self::WhiteBalance => "white balance of one view 5 % off",
             Self::OrbitedCamera => "one camera 0.5° further round",
+            Self::NearerCamera => "one camera 2 % of its distance nearer",
+            Self::Defocused => "one view out of focus",
             Self::Holes => "a fifth of the triangles missing",
             Self::HotPixels => "20 pixels of each view ×1000",
         }
@@ -77,7 +83,13 @@ impl Mistake {
                     }
                 }
             }
-            Self::OrbitedCamera | Self::Holes => {}
+            Self::Defocused => {
+                let view = photographs.get_mut(ODD_VIEW).zip(pictures.get(ODD_VIEW));
+                if let Some((photograph, picture)) = view {
+                    *photograph = defocused(photograph, picture);
+                }
+            }
+            Self::OrbitedCamera | Self::NearerCamera | Self::Holes => {}
         }
     }
 
@@ -88,14 +100,15 @@ impl Mistake {
 
     /// Puts it into the stated cameras.
     pub(super) fn misplace(self, cameras: &mut [Camera], centre: DVec3) {
-        if self != Self::OrbitedCamera {
-            return;
-        }
+        let (turn, nearer) = match self {
+            Self::OrbitedCamera => (DMat3::from_quat(DQuat::from_rotation_y(ORBIT)), 0.0),
+            Self::NearerCamera => (DMat3::IDENTITY, NEARER),
+            _ => return,
+        };
         if let Some(camera) = cameras.get_mut(ODD_VIEW) {
-            let turn = DMat3::from_quat(DQuat::from_rotation_y(ORBIT));
             let pose = &mut camera.world_from_camera;
             pose.matrix3 = turn * pose.matrix3;
-            pose.translation = centre + turn * (pose.translation - centre);
+            pose.translation = centre + (1.0 - nearer) * (turn * (pose.translation - centre));
         }
     }
 
@@ -126,6 +139,24 @@ fn mean(photographs: &[Vec<[f32; 3]>], pictures: &[Picture]) -> f32 {
         covered += coverage.map(|&v| f64::from(v)).sum::<f64>();
     }
     (sum / f64::max(covered, 1.0)) as f32
+}
+
+/// A photograph of which each pixel is the mean of a square of the object about it, premultiplied by what it covers as before.
+fn defocused(photograph: &[[f32; 3]], picture: &Picture) -> Vec<[f32; 3]> {
+    let (width, height) = (picture.width as usize, picture.height as usize);
+    let reach = (DEFOCUS * f64::from(picture.width)).round().max(1.0) as usize;
+    let around = |at: usize, size: usize| at.saturating_sub(reach)..(at + reach + 1).min(size);
+    let pixel = |i: usize| {
+        let (mut sum, mut covered) = (Vec3::ZERO, 0.0);
+        for y in around(i / width, height) {
+            for k in around(i % width, width).map(|x| y * width + x) {
+                sum += Vec3::from(photograph[k]);
+                covered += picture.coverage[k];
+            }
+        }
+        (picture.coverage[i] * sum / covered.max(f32::MIN_POSITIVE)).to_array()
+    };
+    (0..photograph.len()).map(pixel).collect()
 }
 
 fn scale(photographs: &mut [Vec<[f32; 3]>], factors: [f32; 3]) {

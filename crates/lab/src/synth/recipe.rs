@@ -222,6 +222,10 @@ pub enum Mistake {
     WhiteBalance,
     /// One camera half a degree further round the object than it stood.
     OrbitedCamera,
+    /// One camera nearer than it stood by 2 % of its distance.
+    NearerCamera,
+    /// One view out of focus.
+    Defocused,
     /// A mesh that lacks a fifth of its triangles.
     Holes,
     /// Twenty pixels of each view a thousand times too bright.
@@ -230,12 +234,14 @@ pub enum Mistake {
 
 impl Mistake {
     /// All of them.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 9] = [
         Self::Background,
         Self::Encoded,
         Self::BrighterView,
         Self::WhiteBalance,
         Self::OrbitedCamera,
+        Self::NearerCamera,
+        Self::Defocused,
         Self::Holes,
         Self::HotPixels,
     ];
