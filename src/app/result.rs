@@ -494,5 +494,14 @@ mod tests {
         };
         let text = correction(&both).expect("two corrections");
         assert_eq!(text, "camera turned by 0.50°, 8.0 % darker than most");
+        let moved = Correction {
+            shift: [0.0, 0.0, 0.25],
+            ..both
+        };
+        let text = correction(&moved).expect("three corrections");
+        assert_eq!(
+            text,
+            "camera turned by 0.50°, moved by 0.250, 8.0 % darker than most"
+        );
     }
 }

@@ -150,6 +150,7 @@ fn what_was_corrected_is_said() {
             ..Correction::default()
         },
         Correction {
+            shift: [0.0, 0.06, 0.08],
             exposure: 0.8,
             balance: [1.1, 1.0, 1.0],
             ..Correction::default()
@@ -159,6 +160,7 @@ fn what_was_corrected_is_said() {
     assert!(
         said.contains("1 view")
             && said.contains("0.50°")
+            && said.contains("the camera of 1 view was moved by up to 0.100")
             && said.contains("25.0 %")
             && said.contains("10.0 % in a channel"),
         "{said}"
