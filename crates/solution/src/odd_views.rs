@@ -26,7 +26,7 @@ pub struct OddViews {
     pub warning: String,
 }
 
-/// The estimate without the views at `odd`, ascending, if enough others are left and it explains more of how these differ than
+/// The estimate without the views at `odd`, ascending, if enough others are left and it explains no less of how these differ than
 /// `found` does of all. What it says of single views is of all of them.
 pub fn without(
     input: &EstimateInput<'_>,
@@ -54,11 +54,11 @@ pub fn without(
         ..*input
     };
     let mut bettered = estimate(&of_others, params, observer)?;
-    let explains_more = match (bettered.misfit, found.misfit) {
-        (Some(now), Some(before)) => now < before,
+    let explains_no_less = match (bettered.misfit, found.misfit) {
+        (Some(now), Some(before)) => now <= before,
         (now, _) => now.is_some(),
     };
-    if !explains_more {
+    if !explains_no_less {
         return Ok(None);
     }
     if !bettered.exposures.is_empty() {
@@ -110,9 +110,17 @@ fn where_alone(input: &EstimateInput<'_>, index: usize, others: &[ViewSurface]) 
 /// Says which views were left out.
 fn told<'a>(names: impl Iterator<Item = &'a str>) -> String {
     let names: Vec<&str> = names.collect();
-    let (views, verb, their) = match names.len() {
-        1 => ("The view", "contradicts the others and was", "its"),
-        _ => ("The views", "contradict the others and were", "their"),
+    let (views, verb, [it, their]) = match names.len() {
+        1 => (
+            "The view",
+            "does not fit the others or the mesh and was",
+            ["it", "its"],
+        ),
+        _ => (
+            "The views",
+            "do not fit the others or the mesh and were",
+            ["them", "their"],
+        ),
     };
     let names: Cow<'_, str> = match names.as_slice() {
         [one] => Cow::Borrowed(one),
@@ -120,7 +128,7 @@ fn told<'a>(names: impl Iterator<Item = &'a str>) -> String {
         [] => Cow::Borrowed(""),
     };
     format!(
-        "{views} {names} {verb} left out: without, roughness and lights explain more, and textures show of it only what no other view \
+        "{views} {names} {verb} left out: roughness and lights come from the rest, and textures show of {it} only what no other view \
          does. Check {their} camera, focus, and whether the light was the same."
     )
 }
@@ -133,12 +141,12 @@ mod tests {
     fn views_that_were_left_out_are_named() {
         let one = told(["a.jpg"].into_iter());
         assert!(
-            one.starts_with("The view a.jpg contradicts the others and was left out"),
+            one.starts_with("The view a.jpg does not fit the others or the mesh and was left out"),
             "{one}"
         );
         let three = told(["a.jpg", "b.jpg", "c.jpg"].into_iter());
         assert!(
-            three.starts_with("The views a.jpg, b.jpg and c.jpg contradict"),
+            three.starts_with("The views a.jpg, b.jpg and c.jpg do not fit"),
             "{three}"
         );
         assert!(three.contains("Check their camera"), "{three}");

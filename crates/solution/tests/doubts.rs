@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use exr::prelude::{read_first_rgba_layer_from_file, write_rgba_file};
-use glam::{DAffine3, Vec3};
+use glam::{DAffine3, DMat3, Vec3};
 use rekindle_capture::{Capture, Photograph, read_radiance};
 use rekindle_estimate::estimate::{EstimateParams, Unobserved};
 use rekindle_scene::reflectance::Brdf;
@@ -176,6 +176,18 @@ fn a_camera_that_stood_elsewhere_is_moved_back() {
 }
 
 #[test]
+fn a_camera_that_looks_away_is_left_out() {
+    let away = changed("spot_paper", |capture| {
+        let pose = &mut capture.views[0].camera.world_from_camera;
+        pose.matrix3 = DMat3::from_rotation_y(std::f64::consts::PI) * pose.matrix3;
+    });
+    let said = away.diagnostics.warnings.join("\n");
+    assert!(away.diagnostics.well_posed, "{said}");
+    assert!(said.contains("view_000.exr does not fit"), "{said}");
+    assert_same_lamps(&away, &changed("spot_paper", |_| ()), 0.3);
+}
+
+#[test]
 fn a_view_that_contradicts_the_others_is_left_out() {
     // Out of focus: its highlights are wider and weaker than the others'.
     let blurred = changed("spot_near", |capture| {
@@ -200,7 +212,7 @@ fn a_view_that_contradicts_the_others_is_left_out() {
     });
     let said = blurred.diagnostics.warnings.join("\n");
     assert!(
-        said.contains("view_004.exr contradicts the others and was left out"),
+        said.contains("view_004.exr does not fit the others or the mesh and was left out"),
         "{said}"
     );
     assert!(blurred.diagnostics.well_posed, "{said}");
