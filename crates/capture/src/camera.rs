@@ -291,6 +291,7 @@ mod tests {
             }
         }
     }
+
     #[test]
     fn removing_a_distortion_undoes_applying_it() {
         for p in [[0.0, 0.0], [0.004, -0.003]] {

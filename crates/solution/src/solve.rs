@@ -385,7 +385,7 @@ fn why_not_placed(misplaced: &[(Option<usize>, Finding)], odd: Option<&OddViews>
 }
 
 /// Roughness and light; under `light` where that is known. Otherwise without views that don't lie where the mesh is or contradict the
-/// others, where that explains more.
+/// others, where that explains no less.
 fn found(
     capture: &Capture,
     (measured, grid): (&Measured, &HemisphereGrid),
@@ -412,13 +412,13 @@ fn found(
         return Ok(of_all(under.estimate, Some(known)));
     }
     let all = estimate(&input, params, observer)?;
+    if params.as_stated {
+        return Ok(of_all(all, None));
+    }
     let misplaced = misplaced.iter().filter_map(|(view, _)| *view);
     let mut odd: Vec<usize> = misplaced.chain(all.odd_view).collect();
     odd.sort_unstable();
     odd.dedup();
-    if params.as_stated {
-        return Ok(of_all(all, None));
-    }
     Ok(match without(&input, params, (&all, odd), observer)? {
         Some((estimate, odd)) => Found {
             estimate,

@@ -1,6 +1,7 @@
 //! Whether a view and the mesh fit: silhouettes, the camera's place, the part of the object in the picture.
 
-use glam::{DVec2, DVec3};
+use crate::registration::Silhouettes;
+use glam::DVec3;
 use rekindle_capture::{Camera, Mesh, PixelCounts, View};
 use rekindle_scene::surface::{NO_TRIANGLE, Occluder, ViewSurface};
 use serde::Serialize;
@@ -59,7 +60,8 @@ impl ViewReport {
         let silhouettes = photograph
             .coverage
             .as_ref()
-            .and_then(|coverage| silhouettes(coverage, surface));
+            .and_then(|coverage| Silhouettes::new(coverage, surface))
+            .map(|silhouettes| (silhouettes.overlap, silhouettes.shift()));
         let max_radiance = photograph
             .radiance
             .iter()
@@ -81,36 +83,6 @@ impl ViewReport {
             relative_exposure: None,
         }
     }
-}
-
-/// Intersection over union of the two silhouettes and the shift between their centres, in pixels; none if both are
-/// empty.
-fn silhouettes(coverage: &[f32], surface: &ViewSurface) -> Option<(f64, DVec2)> {
-    let (mut both, mut either) = (0_usize, 0_usize);
-    let mut sums = [DVec2::ZERO; 2];
-    let mut counts = [0_usize; 2];
-    let width = surface.width as usize;
-    for (i, (&cover, &triangle)) in coverage.iter().zip(&surface.triangle).enumerate() {
-        let shown = [cover > 0.5, triangle != NO_TRIANGLE];
-        both += usize::from(shown[0] && shown[1]);
-        either += usize::from(shown[0] || shown[1]);
-        for k in 0..2 {
-            if shown[k] {
-                sums[k] += DVec2::new((i % width) as f64, (i / width) as f64);
-                counts[k] += 1;
-            }
-        }
-    }
-    if either == 0 {
-        return None;
-    }
-    let centre = |k: usize| sums[k] / counts[k] as f64;
-    let shift = if counts[0] > 0 && counts[1] > 0 {
-        centre(0) - centre(1)
-    } else {
-        DVec2::ZERO
-    };
-    Some((both as f64 / either as f64, shift))
 }
 
 fn border_share(surface: &ViewSurface) -> f64 {

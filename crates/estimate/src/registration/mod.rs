@@ -4,6 +4,7 @@
 mod agreement;
 mod mask;
 mod outline;
+mod silhouettes;
 #[cfg(test)]
 mod tests;
 
@@ -16,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use agreement::{Agreement, Exposure};
 pub use mask::within_outlines;
+pub use silhouettes::Silhouettes;
 
 use outline::{Fit, Motion};
 use rekindle_capture::{Capture, Mesh, Photograph, View};

@@ -10,6 +10,7 @@ use faer::linalg::solvers::Solve;
 use faer::{Col, Mat, Side};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
+use super::silhouettes::Silhouettes;
 use rekindle_base::math::median;
 use rekindle_capture::{Camera, Mesh};
 use rekindle_scene::surface::{NO_TRIANGLE, Occluder, ViewSurface};
@@ -186,25 +187,9 @@ pub fn fit(
 
 /// The turn that brings the middle of what the mesh covers to that of what the object does, if they are more than `least` pixels apart.
 fn towards(camera: &Camera, surface: &ViewSurface, coverage: &[f32], least: f64) -> Motion {
-    let width = surface.width as usize;
-    let middle = |covered: &mut dyn Iterator<Item = (usize, bool)>| {
-        let (mut sum, mut count) = (DVec2::ZERO, 0.0);
-        for (i, _) in covered.filter(|(_, is_covered)| *is_covered) {
-            sum += DVec2::new((i % width) as f64, (i / width) as f64) + 0.5;
-            count += 1.0;
-        }
-        (count > 0.0).then(|| sum / count)
-    };
-    let mesh = middle(
-        &mut surface
-            .triangle
-            .iter()
-            .map(|&t| t != NO_TRIANGLE)
-            .enumerate(),
-    );
-    let object = middle(&mut coverage.iter().map(|&c| c > 0.5).enumerate());
-    let rotation = match (mesh, object) {
-        (Some(mesh), Some(object)) if mesh.distance(object) > least => {
+    let centres = Silhouettes::new(coverage, surface).map(|silhouettes| silhouettes.centres);
+    let rotation = match centres {
+        Some([Some(object), Some(mesh)]) if mesh.distance(object) > least => {
             DQuat::from_rotation_arc(camera.ray(object), camera.ray(mesh))
         }
         _ => DQuat::IDENTITY,
