@@ -208,6 +208,7 @@ fn request(camera: Camera) -> FrameRequest {
         transform: ViewTransform::Agx,
         background: Background::Colour([0.1; 3]),
         dragging: false,
+        quick: false,
     }
 }
 

@@ -19,6 +19,7 @@
 //!     transform: rekindle_relight::ViewTransform::Agx,
 //!     background: Background::Colour([0.1; 3]),
 //!     dragging: false,
+//!     quick: true,
 //! })?;
 //! // shown.view is an Rgba8Unorm texture with sRGB-encoded values; register it again when shown.texture_id changes.
 //! # let _ = shown.settled;
@@ -43,6 +44,8 @@
 //!   few lobes, and only coverage has four samples a pixel;
 //! * what the surface mirrors of itself and of an environment (`mirror.wgsl`, `sky.wgsl`) is traced with one ray a pixel and
 //!   frame, or with four under an environment;
+//! * where the device takes its time, something new is shown at once with larger pixels and then drawn whole in parts, between
+//!   which the window hears its user (`pace`);
 //! * a still picture is the mean of sixteen or more frames (`accumulate`), with the sub-pixel places of the reference
 //!   renderer and all lobes. It depends on the request alone, not on what was drawn before;
 //! * `display` applies exposure, view transform and background.

@@ -22,7 +22,7 @@ use super::request::{Background, FrameRequest, Mode};
 use super::shade::{SHADOWS_SIZE, SceneBindings, ShadePass};
 use super::shadow::{MAX_SHADOW_MAPS, ShadowPass, shadow_map};
 use super::surface::{Surface, SurfaceBuffers, bits, surface_layout, to_half};
-use super::targets::Targets;
+use super::targets::{Pictures, Targets, Which};
 use super::visible::VisiblePass;
 use rekindle_capture::Camera;
 use rekindle_relight::{Lighting, Shader, ShadingPoint, Sky, SkyLevel};
@@ -196,8 +196,7 @@ pub struct Renderer {
     display: DisplayPass,
     baker: Baker,
     loaded: Option<Loaded>,
-    targets: Option<Targets>,
-    texture_id: u64,
+    pictures: Pictures,
     /// Counts changes of anything that the picture depends on besides the request.
     light_number: u64,
     next_id: u64,
@@ -238,15 +237,14 @@ impl Renderer {
             display: DisplayPass::new(&gpu)?,
             baker: Baker::new()?,
             loaded: None,
-            targets: None,
-            texture_id: 0,
+            pictures: Pictures::default(),
             light_number: 0,
             next_id: 1,
             light_picture: (0, light_picture),
             drawn: None,
             displayed: None,
             refined: 0,
-            pace: Pace::new(),
+            pace: Pace::new(&gpu),
             ordered: Ordered::All,
             gpu,
         })
@@ -329,6 +327,7 @@ impl Renderer {
         };
         self.baker.has_results()
             || self.drawn.is_none()
+            || self.pictures.is_quick()
             || self.refined < loaded.light.lists.frames()
     }
 
@@ -353,7 +352,9 @@ impl Renderer {
         } else {
             Ordered::All
         });
-        self.make_targets(size)?;
+        if self.make_targets(Which::Whole, size)? {
+            self.drawn = None;
+        }
         self.update_light_picture(request.background)?;
         let key = PictureKey {
             camera: CameraKey::new(&request.camera),
@@ -365,29 +366,29 @@ impl Renderer {
             .device()
             .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let moved = self.drawn.as_ref() != Some(&key);
-        let refined_before = self.refined;
-        if moved {
+        let changed = if moved {
+            self.drawn = Some(key);
             self.refined = 0;
             self.pace.restart();
-            self.draw_moving(&mut encoder, request)?;
-            self.drawn = Some(key);
+            self.start(&mut encoder, request)?;
+            true
+        } else if self.pictures.is_quick() {
+            self.complete(&mut encoder, request)?
         } else {
-            self.refine(&mut encoder, request)?;
-        }
-        self.show(
-            &mut encoder,
-            request,
-            moved || refined_before != self.refined,
-        );
-        self.gpu.queue().submit([encoder.finish()]);
-        if !moved {
+            self.refine(&mut encoder, request)?
+        };
+        self.show(&mut encoder, request, changed)?;
+        if moved {
+            self.pace.submit_moving(&self.gpu, encoder.finish())?;
+        } else {
+            self.gpu.queue().submit([encoder.finish()]);
             self.pace.time(&self.gpu);
         }
         let settled = self.is_settled();
-        let targets = self.targets.as_ref().ok_or(RenderError::NoSurface)?;
+        let targets = self.pictures.of(self.pictures.shown)?;
         Ok(Shown {
             view: &targets.shown_view,
-            texture_id: self.texture_id,
+            texture_id: targets.id,
             settled,
         })
     }
@@ -396,6 +397,7 @@ impl Renderer {
     pub fn draw_settled(&mut self, request: &FrameRequest) -> Result<Shown<'_>, RenderError> {
         let request = FrameRequest {
             dragging: false,
+            quick: false,
             ..request.clone()
         };
         self.draw(&request)?;
@@ -427,12 +429,12 @@ impl Renderer {
 
     /// Waits for the last picture and copies what is shown: RGBA, 8 bits, sRGB-encoded, row by row from the top.
     pub fn read_shown(&self) -> Result<Vec<u8>, RenderError> {
-        let targets = self.targets.as_ref().ok_or(RenderError::NoSurface)?;
+        let targets = self.pictures.of(self.pictures.shown)?;
         ReadBack::start(&self.gpu, &targets.shown, targets.size, 4)?.bytes(&self.gpu, 4)
     }
 
     fn start_read_back(&self) -> Result<(ReadBack, f32), RenderError> {
-        let targets = self.targets.as_ref().ok_or(RenderError::NoSurface)?;
+        let targets = self.pictures.of(self.pictures.shown)?;
         let loaded = self.loaded.as_ref().ok_or(RenderError::NoSurface)?;
         let texture = if self.is_refined() {
             &targets.mean
@@ -600,25 +602,23 @@ impl Renderer {
         self.baker.request(&loaded.surface, orders);
     }
 
-    fn make_targets(&mut self, size: [u32; 2]) -> Result<(), RenderError> {
-        if self.targets.as_ref().is_some_and(|t| t.size == size) {
-            return Ok(());
-        }
-        // The old ones go first: both may not fit.
-        self.targets = None;
-        self.drawn = None;
-        self.displayed = None;
-        self.texture_id += 1;
+    /// Makes what a picture is drawn into, if it is of another size; whether it was.
+    fn make_targets(&mut self, which: Which, size: [u32; 2]) -> Result<bool, RenderError> {
         let light = &self.light_picture.1;
-        self.targets = Some(Targets::new(
-            &self.gpu,
-            size,
-            &self.shade,
-            &self.accumulate,
-            &self.display,
-            light,
-        )?);
-        Ok(())
+        let made = self.pictures.resize(which, size, |place| {
+            Targets::new(
+                &self.gpu,
+                (place, size),
+                &self.shade,
+                &self.accumulate,
+                &self.display,
+                light,
+            )
+        })?;
+        if made {
+            self.displayed = None;
+        }
+        Ok(made)
     }
 
     /// Makes the picture of the light where it is the background.
@@ -633,7 +633,7 @@ impl Renderer {
         let view = self.gpu.guarded("the light", || {
             light_texture(&self.gpu, size, &bits(&halves))
         })?;
-        if let Some(targets) = &mut self.targets {
+        for targets in self.pictures.all() {
             targets.show = [&targets.moving_view, &targets.mean_view]
                 .map(|v| self.display.bind(&self.gpu, v, &view));
         }
@@ -680,32 +680,70 @@ impl Renderer {
         Ok((frame, loaded))
     }
 
+    /// Starts another picture: with a quick one, where that is wanted and the device needs it.
+    fn start(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        request: &FrameRequest,
+    ) -> Result<(), RenderError> {
+        let coarse = self.pace.coarse();
+        let camera = &request.camera;
+        if !request.quick || coarse == 1 {
+            self.pictures.shown = Which::Whole;
+            let all = 0..camera.height.max(1);
+            return self.draw_moving(encoder, request, Which::Whole, all);
+        }
+        let [width, height] = [camera.width, camera.height].map(|side| side.div_ceil(coarse));
+        self.make_targets(Which::Quick, [width.max(1), height.max(1)])?;
+        self.pictures.shown = Which::Quick;
+        let quick = FrameRequest {
+            camera: camera.resized(width, height),
+            ..request.clone()
+        };
+        self.draw_moving(encoder, &quick, Which::Quick, 0..height.max(1))
+    }
+
+    /// Draws what the whole picture lacks where a quick one is shown, or as much of it as takes a moment; whether that completes it.
+    fn complete(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        request: &FrameRequest,
+    ) -> Result<bool, RenderError> {
+        let height = request.camera.height.max(1);
+        let rows = self.pace.next(height);
+        let is_last = rows.end == height;
+        self.draw_moving(encoder, request, Which::Whole, rows)?;
+        if is_last {
+            self.pictures.shown = Which::Whole;
+            self.displayed = None;
+        }
+        Ok(is_last)
+    }
+
+    /// Draws rows of a picture as it is shown while things move.
     fn draw_moving(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         request: &FrameRequest,
+        which: Which,
+        rows: Range<u32>,
     ) -> Result<(), RenderError> {
         let (mut frame, loaded) = self.frame(request, [0.0; 2])?;
-        let targets = self.targets.as_ref().ok_or(RenderError::NoSurface)?;
+        let targets = self.pictures.of(which)?;
         let moving = &loaded.light.lists.moving;
         frame.always = [moving.range.start, moving.range.end];
         frame.first_word = moving.first_word;
         frame.flags |= COVERAGE;
-        self.visible.cover(
-            encoder,
-            &loaded.buffers,
-            &targets.coverage_samples,
-            &targets.coverage,
-        );
-        let rows = 0..targets.size[1];
-        self.draw_surface(
-            encoder,
-            &mut frame,
-            loaded,
-            targets,
-            &targets.shade_moving,
-            &rows,
-        );
+        if rows.start == 0 {
+            self.visible.cover(
+                encoder,
+                &loaded.buffers,
+                &targets.coverage_samples,
+                &targets.coverage,
+            );
+        }
+        let pixels = &targets.shade_moving;
+        self.draw_surface(encoder, &mut frame, loaded, targets, pixels, &rows);
         Ok(())
     }
 
@@ -737,19 +775,19 @@ impl Renderer {
         self.shade.run(encoder, groups, targets.size[0], rows);
     }
 
-    /// Adds a frame, or as much of one as takes a moment, to the still picture if it isn't complete.
+    /// Adds a frame, or as much of one as takes a moment, to the still picture if it isn't complete; whether that completes a frame.
     fn refine(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         request: &FrameRequest,
-    ) -> Result<(), RenderError> {
+    ) -> Result<bool, RenderError> {
         if self.is_refined() {
-            return Ok(());
+            return Ok(false);
         }
         let height = request.camera.height.max(1);
         let rows = self.pace.next(height);
         let (mut frame, loaded) = self.frame(request, lists::jitter(self.refined))?;
-        let targets = self.targets.as_ref().ok_or(RenderError::NoSurface)?;
+        let targets = self.pictures.of(Which::Whole)?;
         let light = &loaded.light.lists;
         frame.always = [light.always.range.start, light.always.range.end];
         frame.half_vector = self.refined % lists::PLACES;
@@ -765,17 +803,22 @@ impl Renderer {
         let first = self.refined == 0 && rows.start == 0;
         self.accumulate
             .draw(&self.gpu, encoder, targets, &rows, weight, first);
-        if rows.end == height {
-            self.refined += 1;
-        }
-        Ok(())
+        let is_last = rows.end == height;
+        self.refined += u32::from(is_last);
+        Ok(is_last)
     }
 
     /// Writes the shown picture if it would be another one.
-    fn show(&mut self, encoder: &mut wgpu::CommandEncoder, request: &FrameRequest, changed: bool) {
+    fn show(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        request: &FrameRequest,
+        changed: bool,
+    ) -> Result<(), RenderError> {
         let refined = self.is_refined();
-        let Some(targets) = &self.targets else { return };
-        let camera = &request.camera;
+        let targets = self.pictures.of(self.pictures.shown)?;
+        let [width, height] = targets.size;
+        let camera = request.camera.resized(width, height);
         let axes = camera.world_from_camera.matrix3.transpose();
         let row = |axis: glam::DVec3| axis.as_vec3().extend(0.0).to_array();
         let (colour, light) = match request.background {
@@ -797,12 +840,13 @@ impl Renderer {
         // Frames of an unfinished still picture aren't shown.
         let picture_changed = changed && (refined || self.refined == 0);
         if self.displayed == Some(display) && !picture_changed {
-            return;
+            return Ok(());
         }
         let picture = &targets.show[usize::from(refined)];
         self.display
             .draw(&self.gpu, encoder, &display, picture, &targets.shown_view);
         self.displayed = Some(display);
+        Ok(())
     }
 }
 

@@ -53,6 +53,9 @@ pub struct FrameRequest {
     pub background: Background,
     /// Whether a lamp is being dragged: light is not baked before this ends.
     pub dragging: bool,
+    /// Whether a picture of larger pixels may be drawn first, where the device is slow: a window answers at once then. Only
+    /// [`Renderer::draw`](super::Renderer::draw) takes note of it.
+    pub quick: bool,
 }
 
 impl Mode {

@@ -1,4 +1,4 @@
-//! The textures of one picture size.
+//! The textures that pictures are drawn into.
 
 use super::accumulate::AccumulatePass;
 use super::display::{DisplayPass, SHOWN};
@@ -8,8 +8,73 @@ use super::gpu::Gpu;
 use super::shade::ShadePass;
 use super::visible::{COVERED, SAMPLES, VISIBLE};
 
+/// Which of a renderer's pictures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Which {
+    /// The one that was asked for.
+    #[default]
+    Whole,
+    /// One of larger pixels, for as long as the whole one is not done.
+    Quick,
+}
+
+/// The pictures of a renderer.
+#[derive(Default)]
+pub(super) struct Pictures {
+    whole: Option<Targets>,
+    quick: Option<Targets>,
+    /// The one that is shown.
+    pub shown: Which,
+    /// How many have been made.
+    made: u64,
+}
+
+impl Pictures {
+    /// What one is drawn into.
+    pub(super) fn of(&self, which: Which) -> Result<&Targets, RenderError> {
+        let targets = match which {
+            Which::Whole => &self.whole,
+            Which::Quick => &self.quick,
+        };
+        targets.as_ref().ok_or(RenderError::NoSurface)
+    }
+
+    /// Whether the quick one is shown.
+    pub(super) fn is_quick(&self) -> bool {
+        self.shown == Which::Quick
+    }
+
+    /// All that there are.
+    pub(super) fn all(&mut self) -> impl Iterator<Item = &mut Targets> {
+        [&mut self.whole, &mut self.quick].into_iter().flatten()
+    }
+
+    /// Has one of another size made, which gets a number; whether it was of another.
+    pub(super) fn resize(
+        &mut self,
+        which: Which,
+        size: [u32; 2],
+        make: impl FnOnce(u64) -> Result<Targets, RenderError>,
+    ) -> Result<bool, RenderError> {
+        let targets = match which {
+            Which::Whole => &mut self.whole,
+            Which::Quick => &mut self.quick,
+        };
+        if targets.as_ref().is_some_and(|t| t.size == size) {
+            return Ok(false);
+        }
+        // The old ones go first: both may not fit.
+        *targets = None;
+        self.made += 1;
+        *targets = Some(make(self.made)?);
+        Ok(true)
+    }
+}
+
 /// What a picture is drawn into.
 pub(super) struct Targets {
+    /// Another number means other textures.
+    pub id: u64,
     pub size: [u32; 2],
     /// The triangle of each pixel.
     pub visible: wgpu::TextureView,
@@ -38,7 +103,7 @@ pub(super) struct Targets {
 impl Targets {
     pub(super) fn new(
         gpu: &Gpu,
-        size: [u32; 2],
+        (id, size): (u64, [u32; 2]),
         shade: &ShadePass,
         accumulate: &AccumulatePass,
         display: &DisplayPass,
@@ -63,6 +128,7 @@ impl Targets {
             let still_frame = view(&make("still frame", LINEAR, shaded, 1));
             let (moving_view, mean_view) = (view(&moving), view(&mean));
             Self {
+                id,
                 size,
                 depth: view(&make("depth", DEPTH, attachment, 1)),
                 coverage_samples: view(&make("coverage samples", COVERED, attachment, SAMPLES)),

@@ -146,6 +146,7 @@ fn request(camera: Camera) -> FrameRequest {
         transform: ViewTransform::Srgb,
         background: Background::Colour([0.0; 3]),
         dragging: false,
+        quick: false,
     }
 }
 

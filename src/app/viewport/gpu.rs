@@ -28,8 +28,6 @@ pub struct GpuPicture {
     pending: Option<PendingImage>,
     linear: Option<Read>,
     reads: u64,
-    /// How much larger pixels are drawn while things move, along each side.
-    pub coarse: u32,
 }
 
 /// Linear values read back from the graphics card.
@@ -39,9 +37,6 @@ pub struct Read {
     /// The values.
     pub picture: Linear,
 }
-
-/// [`GpuPicture::coarse`] where a driver draws without a graphics card.
-const COARSE: u32 = 2;
 
 impl GpuPicture {
     /// Takes the window's device. `ctx` is asked to repaint when light has been baked.
@@ -61,10 +56,6 @@ impl GpuPicture {
             pending: None,
             linear: None,
             reads: 0,
-            coarse: match state.adapter.get_info().device_type {
-                wgpu::DeviceType::Cpu => COARSE,
-                _ => 1,
-            },
         })
     }
 

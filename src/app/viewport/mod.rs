@@ -617,13 +617,8 @@ impl Viewport {
         let Some(gpu) = &mut self.gpu else {
             return Ok(None);
         };
-        let moving = scene.dragging || self.navigation.is_moving();
-        let coarse = if moving { gpu.coarse } else { 1 };
         let request = FrameRequest {
-            camera: camera.resized(
-                camera.width.div_ceil(coarse),
-                camera.height.div_ceil(coarse),
-            ),
+            camera: camera.clone(),
             mode: match self.look.mode {
                 Mode::Shadow(_) => Mode::Shadow(scene.shadowed),
                 mode => mode,
@@ -632,6 +627,7 @@ impl Viewport {
             transform: self.look.transform,
             background,
             dragging: scene.dragging,
+            quick: true,
         };
         if !gpu.prepare(scene.worker, solution)? {
             return Ok(None);
