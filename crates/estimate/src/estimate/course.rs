@@ -316,19 +316,35 @@ fn with_coarse_fit<R>(
     then: impl FnOnce(&Solver<'_>, Start<'_>, &mut Watch<'_>) -> Result<R, Stopped>,
 ) -> Result<R, Stopped> {
     let (coarse, because) = choose(solver, choice, watch)?;
-    if !solver.grid.whole && diagnose::leaves_much(&coarse.state) && !watch.observer.enough() {
+    if !solver.grid.whole && diagnose::may_lack_light(&coarse.state) && !watch.observer.enough() {
         let around = AllAround::of(solver);
         let whole = around.solver(solver);
         // The lobe is chosen anew only if it is worth it.
-        let Brdf { model, sigma, .. } = coarse.state.brdf;
-        let mut everywhere = whole.compare_sigmas(model, Some(sigma), watch)?;
-        whole.improve_coarse(&mut everywhere, watch)?;
-        if is_lit_from_below((&whole, &everywhere), (solver, &coarse)) {
+        if let Some(everywhere) = around_explaining_more(&whole, &coarse, watch)?
+            && is_lit_from_below((&whole, &everywhere), (solver, &coarse))
+        {
             let (coarse, because) = choose(&whole, choice, watch)?;
             return then(&whole, Start { coarse, because }, watch);
         }
     }
     then(solver, Start { coarse, because }, watch)
+}
+
+/// The coarse fit with light from everywhere, `whole`, of the model of one with light from above, if it may explain more: where more cells
+/// explain no more with the same lobe they don't with another.
+fn around_explaining_more<'s>(
+    whole: &'s Solver<'_>,
+    coarse: &CoarseFit<'_>,
+    watch: &mut Watch<'_>,
+) -> Result<Option<CoarseFit<'s>>, Stopped> {
+    let Brdf { model, sigma, .. } = coarse.state.brdf;
+    let same = whole.dark_roots(coarse.state.brdf).lit_at(sigma);
+    if same.unexplained() >= coarse.unexplained {
+        return Ok(None);
+    }
+    let mut everywhere = whole.compare_sigmas(model, Some(sigma), watch)?;
+    whole.improve_coarse(&mut everywhere, watch)?;
+    Ok(Some(everywhere))
 }
 
 /// Goes on from a coarse fit, on a surface that has parts by their strength of gloss if these explain clearly more; where one gloss for all
@@ -549,6 +565,11 @@ fn end(
             None => &coarse.state,
         };
         let fit = finish(solver, start, watch)?;
+        let (fit, because_of_misfit) = match &resolved {
+            None => explaining_all(solver, fit, &coarse.state, choice, watch)?,
+            Some(_) => (fit, None),
+        };
+        because = because_of_misfit.unwrap_or(because);
         // What a metal mirrors of itself is a cause that a second estimate takes away.
         let is_known = fit.brdf.model == SpecularModel::Metal && solver.first.is_none();
         let is_still = solver.seen.turning.is_none();
@@ -703,6 +724,42 @@ fn resolved<'s>(
     if !is_narrow || choice != SpecularChoice::Auto || watch.observer.enough() {
         return Ok(None);
     }
+    chosen_on_split(solver, coarse, watch).map(Some)
+}
+
+/// The fit, or that of the lobe that leaves least where a coarse fit's lights are split once, with the reason in words, if the fit is doubted
+/// and that one is not: coarse cells take a lobe's tail for what they blur.
+fn explaining_all(
+    solver: &Solver<'_>,
+    fit: Fit,
+    coarse: &State<'_>,
+    choice: SpecularChoice,
+    watch: &mut Watch<'_>,
+) -> Result<(Fit, Option<String>), Stopped> {
+    let is_known = solver.first.is_some() || solver.seen.turning.is_some();
+    let is_free =
+        choice == SpecularChoice::Auto && !is_known && fit.brdf.model != SpecularModel::Metal;
+    if !is_free || !diagnose::leaves_misfit(&fit.misfit) || watch.observer.enough() {
+        return Ok((fit, None));
+    }
+    let (start, because) = chosen_on_split(solver, coarse, watch)?;
+    if start.brdf.model == fit.brdf.model {
+        return Ok((fit, None));
+    }
+    let other = finish(solver, &start, watch)?;
+    Ok(if diagnose::leaves_misfit(&other.misfit) {
+        (fit, None)
+    } else {
+        (other, Some(because))
+    })
+}
+
+/// A coarse fit's lights with the lobe that leaves least where they are split once, and why it is that one.
+fn chosen_on_split<'s>(
+    solver: &'s Solver<'_>,
+    coarse: &State<'s>,
+    watch: &mut Watch<'_>,
+) -> Result<(State<'s>, String), Stopped> {
     let (brdf, because) = on_split_with_all(solver, coarse, watch, |states, watch| {
         let mut tried: Vec<(f64, &State<'_>)> =
             states.iter().map(|s| (s.unexplained(), s)).collect();
@@ -712,7 +769,7 @@ fn resolved<'s>(
     })?;
     let mut state = coarse.clone();
     state.brdf = brdf;
-    Ok(Some((state, because)))
+    Ok((state, because))
 }
 
 /// The lobe that explains more than the one asked for, if there is one.

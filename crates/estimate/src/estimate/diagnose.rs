@@ -200,6 +200,11 @@ pub fn leaves_much(state: &State<'_>) -> bool {
     state.unexplained_share() > MOST_UNEXPLAINED
 }
 
+/// Whether a coarse fit leaves so much that light may come from where none is sought: before normals are blamed for it, or gloss.
+pub fn may_lack_light(state: &State<'_>) -> bool {
+    state.unexplained_share() > MOST_OF_GOOD_NORMALS
+}
+
 /// Whether a coarse fit leaves so much that the normals may be off, and more than noise does.
 pub fn blames_normals(state: &State<'_>) -> bool {
     state.unexplained_share() > MOST_OF_GOOD_NORMALS && Misfit::of(state).tilt.explained > 0.0
