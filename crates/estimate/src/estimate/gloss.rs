@@ -50,6 +50,8 @@ const PRIOR: f32 = 1e-4;
 const SWEEPS: usize = 60;
 /// Rounds of parts and glosses in turn.
 const ROUNDS: usize = 4;
+/// Newton steps of a height with which highlights come to be clipped or don't.
+const HEIGHT_STEPS: usize = 8;
 /// Gauss-Newton steps of the glosses.
 const STEPS: usize = 8;
 /// The part of what fewer unknowns leave that more may.
@@ -63,26 +65,59 @@ const LEAST_STEP: f64 = -20.0;
 const MOST_STEP: f64 = 20.0;
 
 /// A point's evidence: the squared error that is left is `all − 2 h with + h² of` at the height h of the lobe, for each of
-/// [`ROUGHNESSES`].
+/// [`ROUGHNESSES`], and what the height lacks of clipped highlights.
 #[derive(Clone, Debug)]
 struct Evidence {
     all: f64,
     with: [f64; ROUGHNESSES.len()],
     of: [f64; ROUGHNESSES.len()],
+    bounds: Vec<Bound>,
+}
+
+/// A clipped highlight, which says how bright it is at least.
+#[derive(Clone, Copy, Debug)]
+struct Bound {
+    /// How bright, without the diffuse colour.
+    at_least: f64,
+    /// What a lobe of each roughness shows.
+    of: [f32; ROUGHNESSES.len()],
+    weight: f64,
+}
+
+impl Bound {
+    /// What a lobe lacks; zero or less where it shows as much.
+    fn lacks(&self, k: usize, height: f64) -> f64 {
+        self.at_least - height * f64::from(self.of[k])
+    }
 }
 
 impl Evidence {
     fn left(&self, k: usize, height: f64) -> f64 {
-        self.all - 2.0 * height * self.with[k] + height * height * self.of[k]
+        let lacking = self.bounds.iter().map(|bound| {
+            let lacks = bound.lacks(k, height).max(0.0);
+            bound.weight * lacks * lacks
+        });
+        self.all - 2.0 * height * self.with[k] + height * height * self.of[k] + lacking.sum::<f64>()
     }
 
     /// The height that leaves least.
     fn best_height(&self, k: usize) -> f64 {
-        if self.of[k] > 0.0 {
-            (self.with[k] / self.of[k]).max(0.0)
-        } else {
-            0.0
+        let mut height = 0.0;
+        // Newton's method on a convex function of quadratic pieces.
+        for _ in 0..=HEIGHT_STEPS {
+            let (mut with, mut of) = (self.with[k], self.of[k]);
+            for bound in self.bounds.iter().filter(|b| b.lacks(k, height) > 0.0) {
+                let shown = f64::from(bound.of[k]);
+                with += bound.weight * shown * bound.at_least;
+                of += bound.weight * shown * shown;
+            }
+            let next = if of > 0.0 { (with / of).max(0.0) } else { 0.0 };
+            if next == height || self.bounds.is_empty() {
+                return next;
+            }
+            height = next;
         }
+        height
     }
 
     /// The kind that leaves least.
@@ -109,6 +144,7 @@ impl Evidence {
             self.with[k] += other.with[k];
             self.of[k] += other.of[k];
         }
+        self.bounds.extend_from_slice(&other.bounds);
     }
 
     fn none() -> Self {
@@ -116,6 +152,7 @@ impl Evidence {
             all: 0.0,
             with: [0.0; ROUGHNESSES.len()],
             of: [0.0; ROUGHNESSES.len()],
+            bounds: Vec::new(),
         }
     }
 }
@@ -242,8 +279,6 @@ impl Solver<'_> {
                 stop: self.stop,
             },
         );
-        // A bound that is exceeded is no error.
-        let observations = observations.measured();
         let gray = observations.to_gray();
         let lit = state.lit();
         let cells: Vec<Cell> = lit.iter().map(|&k| state.cells[k]).collect();
@@ -322,7 +357,7 @@ fn refined(lit: &Lit<'_>, parts: &[usize], inside: &[bool], kinds: &[Kind]) -> V
         point.gloss = part;
     }
     own.glosses = kinds.iter().map(|kind| kind.gloss()).collect();
-    let mut robust = lit.weights.clone();
+    let mut robust = lit.measured_weights();
     for _ in 0..STEPS {
         let design = Design {
             observations: &own,
@@ -344,8 +379,13 @@ fn refined(lit: &Lit<'_>, parts: &[usize], inside: &[bool], kinds: &[Kind]) -> V
             eliminate(&brdf, own_rows, &robust[rows.clone()], &mut columns);
             for (k, column) in rows.zip(columns) {
                 steps[point.gloss].add(robust[k], column);
+                let is_met = own.rows[k].is_bound && column[0] <= 0.0;
                 let deviations = lit.weights[k].sqrt() * column[0].abs();
-                robust[k] = lit.weights[k] * (HUBER / deviations.max(HUBER));
+                robust[k] = if is_met {
+                    0.0
+                } else {
+                    lit.weights[k] * (HUBER / deviations.max(HUBER))
+                };
             }
         }
         for (gloss, step) in own.glosses.iter_mut().zip(steps) {
@@ -384,6 +424,13 @@ impl Column {
 }
 
 impl Lit<'_> {
+    /// The rows' weights; none of bounds, which say nothing as long as nothing contradicts them.
+    fn measured_weights(&self) -> Vec<f32> {
+        let rows = self.design.observations.rows.iter().zip(&self.weights);
+        rows.map(|(row, &weight)| if row.is_bound { 0.0 } else { weight })
+            .collect()
+    }
+
     /// What is measured, and what lobes of [`ROUGHNESSES`] show.
     fn columns(&self) -> (Column, [Column; ROUGHNESSES.len()]) {
         let rows = &self.design.observations.rows;
@@ -407,25 +454,38 @@ impl Lit<'_> {
         let rows = &self.design.observations.rows[own.clone()];
         let weights = &self.weights[own.clone()];
         let telling: Vec<f32> = (rows.iter().zip(weights))
-            .map(|(row, &weight)| if is_told(row.view) { weight } else { 0.0 })
+            .map(|(row, &weight)| {
+                if is_told(row.view) && !row.is_bound {
+                    weight
+                } else {
+                    0.0
+                }
+            })
             .collect();
         let mut evidence = [Evidence::none(), Evidence::none()];
         if telling.iter().all(|&weight| weight == 0.0) {
             return evidence;
         }
-        let counted: Vec<(usize, f64)> = (rows.iter().zip(weights))
-            .map(|(row, &weight)| (usize::from(!is_told(row.view)), f64::from(weight)))
-            .collect();
         let measured = measured.eliminated(own.clone(), &telling);
-        for (&value, &(of, weight)) in measured.iter().zip(&counted) {
-            evidence[of].all += weight * f64::from(value).powi(2);
-        }
-        for (at, shown) in shown.iter().enumerate() {
-            let shown = shown.eliminated(own.clone(), &telling);
-            for ((&shown, &measured), &(of, weight)) in shown.iter().zip(&measured).zip(&counted) {
-                let a = f64::from(shown);
-                evidence[of].with[at] += weight * a * f64::from(measured);
-                evidence[of].of[at] += weight * a * a;
+        let shown = shown
+            .each_ref()
+            .map(|shown| shown.eliminated(own.clone(), &telling));
+        for (i, (row, &weight)) in rows.iter().zip(weights).enumerate() {
+            let of = &mut evidence[usize::from(!is_told(row.view))];
+            let (weight, value) = (f64::from(weight), f64::from(measured[i]));
+            if row.is_bound {
+                of.bounds.push(Bound {
+                    at_least: value,
+                    of: shown.each_ref().map(|shown| shown[i]),
+                    weight,
+                });
+                continue;
+            }
+            of.all += weight * value * value;
+            for (at, shown) in shown.iter().enumerate() {
+                let shown = f64::from(shown[i]);
+                of.with[at] += weight * shown * value;
+                of.of[at] += weight * shown * shown;
             }
         }
         evidence
@@ -449,7 +509,7 @@ impl<'a> Board<'a> {
         let Fold { told: evidence, .. } = fold(turns);
         let folds = (0..turns).map(fold).collect();
         let shown = lit.design.predict_values(&lit.brdf, &lit.radiance);
-        let colours = log_diffuse(observations, &lit.brdf, &lit.weights, &shown);
+        let colours = log_diffuse(observations, &lit.brdf, &lit.measured_weights(), &shown);
         let (bonds, contrast) = Neighbours::of(&observations.points).bonds(&colours);
         let left = |(point, evidence): (&Point, &Evidence)| {
             let left = evidence.best_kind().left(evidence);
@@ -484,7 +544,7 @@ impl<'a> Board<'a> {
         let explained = |k: usize| -> f64 {
             let own = self.evidence.iter().zip(&parts);
             let own = own.filter(|(_, part)| **part == k);
-            own.map(|(e, _)| e.all - kinds[k].left(e)).sum()
+            own.map(|(e, _)| NO_GLOSS.left(e) - kinds[k].left(e)).sum()
         };
         let main = (0..glosses.len())
             .filter(|&k| glosses[k].strength > 0.0)
