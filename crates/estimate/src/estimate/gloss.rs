@@ -912,6 +912,25 @@ mod tests {
     }
 
     #[test]
+    fn a_height_reaches_what_is_clipped_and_no_further() {
+        let mut evidence = Evidence::none();
+        (evidence.all, evidence.with[5], evidence.of[5]) = (4.0, 2.0, 1.0);
+        let bound = |at_least| Bound {
+            at_least,
+            of: [1.0; ROUGHNESSES.len()],
+            weight: 1.0,
+        };
+        // What is shown is 2; a highlight that is 1.5 at least changes nothing, one that is 3 lies half-way.
+        evidence.bounds = vec![bound(1.5)];
+        assert_eq!(evidence.best_height(5), 2.0);
+        assert_eq!(evidence.left(5, 2.0), 0.0);
+        evidence.bounds.push(bound(3.0));
+        assert_eq!(evidence.best_height(5), 2.5);
+        assert_eq!(evidence.left(5, 2.5), 0.5);
+        assert_eq!(NO_GLOSS.left(&evidence), 4.0 + 1.5 * 1.5 + 9.0);
+    }
+
+    #[test]
     fn gloss_on_one_half_is_found_however_little_noise_there_is() {
         let observations = observations();
         for deviation in [0.1, 1e-4] {

@@ -15,6 +15,7 @@ use rayon::prelude::*;
 
 use super::design::Design;
 use super::fast::{MIDDLE_POINTS, Solver};
+use super::gloss;
 use super::observations::{Observations, Point};
 use super::observer::{Stopped, go_on};
 use super::state::{ROUGH, State};
@@ -219,7 +220,8 @@ impl Solver<'_> {
             let Some(state) = state else { continue };
             let trial = Trial::with(change, &state);
             let leaves = trial.total() / own.total();
-            if leaves < 1.0 && signed_ranks(&own.left, &trial.left) > SURE {
+            // A little less is what many a wrong assumption leaves of a misfit that has another cause.
+            if leaves < gloss::WORTH && signed_ranks(&own.left, &trial.left) > SURE {
                 let found = Suspicion {
                     suspect: change.suspect,
                     leaves,
