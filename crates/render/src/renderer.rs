@@ -378,10 +378,13 @@ impl Renderer {
             self.refine(&mut encoder, request)?
         };
         self.show(&mut encoder, request, changed)?;
-        if moved {
-            self.pace.submit_moving(&self.gpu, encoder.finish())?;
+        let commands = encoder.finish();
+        if moved && request.quick {
+            self.pace.submit_moving(&self.gpu, commands)?;
         } else {
-            self.gpu.queue().submit([encoder.finish()]);
+            self.gpu.queue().submit([commands]);
+        }
+        if !moved {
             self.pace.time(&self.gpu);
         }
         let settled = self.is_settled();

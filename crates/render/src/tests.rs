@@ -502,6 +502,37 @@ fn a_settled_picture_does_not_depend_on_history() {
 }
 
 #[test]
+fn a_slow_device_answers_with_larger_pixels_and_ends_with_the_same_picture() {
+    let (mut renderer, _) = renderer(solved(Some(PAPER), None));
+    let whole = request(view(120));
+    let expected = settled(&mut renderer, &whole);
+    let quick = FrameRequest {
+        quick: true,
+        ..whole.clone()
+    };
+    let elsewhere = FrameRequest {
+        camera: camera(DVec3::new(-1.2, 1.0, 3.2), DVec3::ZERO, 120, 120, 1.1),
+        ..quick.clone()
+    };
+    let sides = |renderer: &mut Renderer, request: &FrameRequest| {
+        let size = renderer.draw(request).unwrap().view.texture().size();
+        [size.width, size.height]
+    };
+    let first = sides(&mut renderer, &elsewhere);
+    if renderer.gpu().device().adapter_info().device_type == wgpu::DeviceType::Cpu {
+        assert_eq!(first, [60, 60]);
+    }
+    renderer.draw(&quick).unwrap();
+    assert!(renderer.needs_redraw() && !renderer.is_settled());
+    while !renderer.is_settled() {
+        assert!(renderer.needs_redraw());
+        renderer.draw(&quick).unwrap();
+    }
+    assert_eq!(sides(&mut renderer, &quick), [120, 120]);
+    assert!(renderer.read_back().unwrap().pixels == expected.pixels);
+}
+
+#[test]
 fn nothing_is_drawn_while_nothing_changes() {
     let (mut renderer, _) = renderer(solved(Some(PAPER), None));
     let mut request = request(view(64));
