@@ -367,10 +367,10 @@ impl Renderer {
             .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let moved = self.drawn.as_ref() != Some(&key);
         let changed = if moved {
-            self.drawn = Some(key);
             self.refined = 0;
             self.pace.restart();
             self.start(&mut encoder, request)?;
+            self.drawn = Some(key);
             true
         } else if self.pictures.is_quick() {
             self.complete(&mut encoder, request)?
