@@ -608,10 +608,10 @@ impl Renderer {
     /// Makes what a picture is drawn into, if it is of another size; whether it was.
     fn make_targets(&mut self, which: Which, size: [u32; 2]) -> Result<bool, RenderError> {
         let light = &self.light_picture.1;
-        let made = self.pictures.resize(which, size, |place| {
+        let made = self.pictures.resize(which, size, |id| {
             Targets::new(
                 &self.gpu,
-                (place, size),
+                (id, size),
                 &self.shade,
                 &self.accumulate,
                 &self.display,
