@@ -608,7 +608,7 @@ impl Renderer {
     /// Makes what a picture is drawn into, if it is of another size; whether it was.
     fn make_targets(&mut self, which: Which, size: [u32; 2]) -> Result<bool, RenderError> {
         let light = &self.light_picture.1;
-        let made = self.pictures.resize(which, size, |id| {
+        self.pictures.resize(which, size, |id| {
             Targets::new(
                 &self.gpu,
                 (id, size),
@@ -617,11 +617,7 @@ impl Renderer {
                 &self.display,
                 light,
             )
-        })?;
-        if made {
-            self.displayed = None;
-        }
-        Ok(made)
+        })
     }
 
     /// Makes the picture of the light where it is the background.
@@ -718,7 +714,6 @@ impl Renderer {
         self.draw_moving(encoder, request, Which::Whole, rows)?;
         if is_last {
             self.pictures.shown = Which::Whole;
-            self.displayed = None;
         }
         Ok(is_last)
     }

@@ -21,8 +21,8 @@ pub(super) enum Which {
 /// The pictures of a renderer.
 #[derive(Default)]
 pub(super) struct Pictures {
-    whole: Option<Targets>,
-    quick: Option<Targets>,
+    /// What each is drawn into, by [`Which`].
+    targets: [Option<Targets>; 2],
     /// The one that is shown.
     pub shown: Which,
     /// How many have been made.
@@ -32,11 +32,8 @@ pub(super) struct Pictures {
 impl Pictures {
     /// What one is drawn into.
     pub(super) fn of(&self, which: Which) -> Result<&Targets, RenderError> {
-        let targets = match which {
-            Which::Whole => &self.whole,
-            Which::Quick => &self.quick,
-        };
-        targets.as_ref().ok_or(RenderError::NoSurface)
+        let targets = self.targets[which as usize].as_ref();
+        targets.ok_or(RenderError::NoSurface)
     }
 
     /// Whether the quick one is shown.
@@ -46,7 +43,7 @@ impl Pictures {
 
     /// All that there are.
     pub(super) fn all(&mut self) -> impl Iterator<Item = &mut Targets> {
-        [&mut self.whole, &mut self.quick].into_iter().flatten()
+        self.targets.iter_mut().flatten()
     }
 
     /// Has one of another size made, which gets a number; whether it was of another.
@@ -56,10 +53,7 @@ impl Pictures {
         size: [u32; 2],
         make: impl FnOnce(u64) -> Result<Targets, RenderError>,
     ) -> Result<bool, RenderError> {
-        let targets = match which {
-            Which::Whole => &mut self.whole,
-            Which::Quick => &mut self.quick,
-        };
+        let targets = &mut self.targets[which as usize];
         if targets.as_ref().is_some_and(|t| t.size == size) {
             return Ok(false);
         }
