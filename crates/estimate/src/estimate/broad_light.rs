@@ -159,6 +159,13 @@ fn add(
         .collect()
 }
 
+/// Radiance per node of light on the coarsest cells, smoothly.
+pub fn smooth_nodes(whole: &Solver<'_>, cells: &[Cell], radiance: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let mut nodes = vec![[0.0; 3]; whole.grid.directions.len()];
+    add(whole, &mut nodes, (cells, radiance));
+    nodes
+}
+
 /// Rows of points without what lights show in them.
 struct Mirror<'s> {
     observations: &'s Observations,

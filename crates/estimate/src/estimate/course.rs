@@ -14,7 +14,7 @@ use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::shading::{Agreement, LightByShading};
 use super::state::State;
 use super::suspects::{Suspicion, better_lobe, left};
-use super::{broad_light, diagnose, exposures, sparse_gloss, stated_gloss, strengths};
+use super::{broad_light, diagnose, exposures, soft_gloss, sparse_gloss, stated_gloss, strengths};
 use glam::Vec3;
 use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
@@ -78,6 +78,8 @@ pub enum Grounds {
     Stated,
     /// The same, under the light by shading. See [`stated_gloss`].
     StatedUnderShading,
+    /// The photographs, but only under light that is broad. See [`soft_gloss`].
+    BroadLight,
 }
 
 impl Ending {
@@ -98,11 +100,48 @@ pub struct Rules {
     pub exposures: Option<bool>,
 }
 
-/// The default method from the first look to the end. Where no gloss shows under light from anywhere, or what is found is to be doubted and has
+/// The default method from the first look to the end. Where it finds no gloss, or what it finds is to be doubted and no cause has a name, gloss
+/// that mirrors broad light only is looked for: what explains views left out best is taken.
+pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
+    let outcome = with_shading(solver, rules, watch)?;
+    if solver.seen.turning.is_some() || solver.first.is_some() || watch.observer.enough() {
+        return Ok(outcome);
+    }
+    let under_broad = match &outcome {
+        Outcome::Nothing(..) => soft_gloss::found(solver, rules.choice, watch)?,
+        Outcome::Found(ending) if is_open(ending) => {
+            soft_gloss::bettered(solver, ending, rules.choice, watch)?
+        }
+        _ => None,
+    };
+    Ok(match under_broad {
+        Some(ending) => Outcome::Found(Box::new(ending)),
+        None => outcome,
+    })
+}
+
+/// Whether what is found is to be doubted for a cause that has no name. What a metal mirrors has no diffuse colours beside it, and a gloss that
+/// is stated needs no proof.
+fn is_open(ending: &Ending) -> bool {
+    let has_grounds = matches!(ending.grounds, Grounds::Views | Grounds::FewParts);
+    let has_metal = {
+        let parts = ending.fit.parts.iter().flat_map(|parts| &parts.glosses);
+        let mut glosses = parts.map(|gloss| ending.fit.brdf.at(*gloss));
+        ending.fit.brdf.is_metal() || glosses.any(|brdf| brdf.is_metal())
+    };
+    let is_doubted = diagnose::is_doubted(&ending.fit.misfit, ending.agreement);
+    has_grounds && !has_metal && is_doubted && ending.suspicion.is_none()
+}
+
+/// What lights and shading say. Where no gloss shows under light from anywhere, or what is found is to be doubted and has
 /// light from elsewhere, it is looked for under light from where the shading says: few lights can stand there for what is left out, so that
 /// faint gloss, or on few parts, is more than these explain. What is found so has to be sound, and to make the albedo no less even than the
 /// light by shading does. Where there is gloss only because its roughness was stated, its light is what the shading says.
-pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
+fn with_shading(
+    solver: &Solver<'_>,
+    rules: Rules,
+    watch: &mut Watch<'_>,
+) -> Result<Outcome, Stopped> {
     let outcome = sought(solver, rules, watch)?;
     let is_ended = watch.observer.enough() && matches!(outcome, Outcome::Found(_));
     if is_ended || !may_be_bettered(solver, &outcome) {

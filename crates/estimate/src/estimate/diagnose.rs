@@ -130,6 +130,11 @@ const STRENGTHS_BY_SHADING: &str = "Only few parts of the surface are glossy. Th
 pub const BY_DIFFUSE: &str = "The lighting was taken from how the diffuse part changes as the object turns: it is white, and its strength is \
     open. Small lights may be wider than they were.";
 
+/// What is said where gloss mirrors broad light only.
+const UNDER_BROAD_LIGHT: &str = "The gloss shows no single lights but broad light, such as that of a window, a sky or a room: its lighting has \
+    no detail sharp enough to tell its own blur from the surface's roughness. It was taken as smooth as the views that were left out say, and \
+    the middle of the roughnesses that explain them as well. State the roughness if you know it, or add a lamp.";
+
 /// What to doubt about what says that there is gloss.
 pub fn grounds(grounds: Grounds) -> Option<&'static str> {
     match grounds {
@@ -137,6 +142,7 @@ pub fn grounds(grounds: Grounds) -> Option<&'static str> {
         Grounds::FewParts => Some(STRENGTHS_BY_SHADING),
         Grounds::Stated => Some(STATED),
         Grounds::StatedUnderShading => Some(STATED_UNDER_SHADING),
+        Grounds::BroadLight => Some(UNDER_BROAD_LIGHT),
     }
 }
 

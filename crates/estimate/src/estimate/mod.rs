@@ -30,6 +30,7 @@ pub mod observations;
 mod observer;
 mod relief;
 mod shading;
+mod soft_gloss;
 mod sparse_gloss;
 mod spread;
 mod state;
@@ -58,14 +59,14 @@ use serde::{Deserialize, Serialize};
 use crate::registration;
 use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_capture::{Capture, View};
-use rekindle_scene::hemisphere::HemisphereGrid;
+use rekindle_scene::hemisphere::{HemisphereGrid, find_lamps, rest};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::{LeftOut, ShortcutSet, Shortcuts};
 use rekindle_scene::surface::{GlossParts, Occluder, ViewSurface};
 
 use alternating::{Order, Terms};
 use cells::Pyramid;
-use course::{Ending, Outcome, Rules};
+use course::{Ending, Grounds, Outcome, Rules};
 pub use diagnose::OFF_NORMALS;
 pub use exposures::ByLights;
 use exposures::by_lights;
@@ -694,7 +695,9 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         (None, Some(roughest)) => Some([0.0, roughest]),
         (None, None) => Some(interval(&fit, allowed, suspicion)),
     };
-    let open = bound.map(|_| diagnose::OPEN.to_owned());
+    let open = bound
+        .filter(|_| grounds != Grounds::BroadLight)
+        .map(|_| diagnose::OPEN.to_owned());
     let unconfirmed = diagnose::grounds(grounds).map(str::to_owned);
     let stated = solver.near.map(|(_, radius)| radius);
     // A cause that has a name is said in place of what it leaves.
@@ -722,6 +725,11 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
     if let Some(parts) = &fit.parts {
         result.chosen_because += &diagnose::parts(parts, sigma);
         result.chosen_because += diagnose::metals(parts, &fit.brdf);
+    }
+    if grounds == Grounds::BroadLight {
+        let lamps = find_lamps(&grid, &fit.nodes);
+        let rest = rest(&grid, &fit.nodes, &lamps);
+        result.broad_light = rest.map(|rest| rest.nodes).unwrap_or_default();
     }
     result.grid = grid;
     result.radiance = fit.nodes;

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::cells::Cell;
 use super::design::{Design, NormalEquations};
+use super::shading::hold_together;
 use super::weights::{
     Residuals, dark_residuals, eliminate_all, initial_weights, magnitude, residuals,
     robust_objective, robust_weights, weighted_rms,
@@ -261,14 +262,35 @@ impl<'a> State<'a> {
         ridge: f64,
         precision: Precision,
     ) {
+        let cells = self.cells.clone();
+        self.solve_lights_held(precision, |gram| {
+            let mean = mean_diagonal(gram);
+            for (i, _) in cells.iter().enumerate().filter(|(_, c)| even(c)) {
+                gram[(i, i)] += ridge * mean;
+            }
+        });
+    }
+
+    /// [`State::solve_lights`] where cells that are `joined` differ little, by `smoothness` as a share of the Gram matrix's mean diagonal.
+    pub fn solve_lights_smoothly(
+        &mut self,
+        joined: &[[usize; 2]],
+        smoothness: f64,
+        precision: Precision,
+    ) {
+        self.solve_lights_held(precision, |gram| {
+            let weight = smoothness * mean_diagonal(gram);
+            hold_together(gram, joined, weight);
+        });
+    }
+
+    /// [`State::solve_lights`] with something more known of the lights than rows say, which is added to the Gram matrix.
+    fn solve_lights_held(&mut self, precision: Precision, hold: impl FnOnce(&mut Mat<f64>)) {
         self.candidates = (0..self.cells.len()).collect();
         let system = self.take_system(precision);
-        let mut evened = system.equations.clone();
-        let mean = mean_diagonal(&evened.gram);
-        for (i, _) in self.cells.iter().enumerate().filter(|(_, c)| even(c)) {
-            evened.gram[(i, i)] += ridge * mean;
-        }
-        self.radiance = self.fitted(&evened, &self.candidates, &self.radiance, precision);
+        let mut held = system.equations.clone();
+        hold(&mut held.gram);
+        self.radiance = self.fitted(&held, &self.candidates, &self.radiance, precision);
         self.system = Some(system);
         self.predict();
     }

@@ -190,12 +190,13 @@ fn correlation(pairs: &[[f64; 2]]) -> f64 {
     product(0, 1) / (product(0, 0) * product(1, 1)).sqrt()
 }
 
-#[test]
-fn uniform_light_on_a_glossy_object_gives_a_bound_of_the_roughness() {
+/// The object of `spot_paper` in an even colour, with a gloss, under light from everywhere, radiance by direction, and a little noise.
+fn under_sky(brdf: &Brdf, sky: impl Fn(Vec3) -> f32) -> Capture {
     let mut capture = load();
     let occluder = Occluder::new(&capture.mesh);
-    let sky = HemisphereGrid::new(12, Vec3::Y, None, Vec3::ZERO);
-    let brdf = Brdf::new(SpecularModel::Beckmann, 0.2);
+    let grid = HemisphereGrid::new(12, Vec3::Y, None, Vec3::ZERO);
+    let both = grid.directions.iter().flat_map(|&l| [l, -l]);
+    let lights: Vec<(Vec3, f32)> = both.map(|l| (l, grid.solid_angle * sky(l))).collect();
     for view in &mut capture.views {
         let surface = ViewSurface::new(&capture.mesh, &occluder, &view.camera);
         let eye = view.camera.position().as_vec3();
@@ -206,18 +207,21 @@ fn uniform_light_on_a_glossy_object_gives_a_bound_of_the_roughness() {
                 return [0.0; 3];
             };
             let terms = brdf.view_terms(p.normal, (eye - p.position).normalize_or_zero());
-            let sum: f32 = sky
-                .directions
-                .iter()
-                .map(|&l| brdf.lobe(&terms, l) + brdf.lobe(&terms, -l))
-                .sum();
+            let lobes = lights.iter().map(|&(l, flux)| flux * brdf.lobe(&terms, l));
             let diffuse = 0.4 * brdf.diffuse_exit(terms.cos_view());
             let noise = 1.0 + 0.005 * Random(pixel as u64 * 0x9e37_79b9_7f4a_7c15).normal();
-            [noise * (diffuse + 0.3 * sum * sky.solid_angle); 3]
+            [noise * (diffuse + lobes.sum::<f32>()); 3]
         };
         let radiance = (0..surface.interior.len()).map(shaded).collect();
         Arc::make_mut(&mut view.photograph).radiance = radiance;
     }
+    capture
+}
+
+#[test]
+fn uniform_light_on_a_glossy_object_gives_a_bound_of_the_roughness() {
+    let brdf = Brdf::new(SpecularModel::Beckmann, 0.2);
+    let capture = under_sky(&brdf, |_| 0.3);
     let found = fast(&capture);
     let warnings = found.diagnostics.warnings.join("\n");
     assert!(
@@ -227,6 +231,80 @@ fn uniform_light_on_a_glossy_object_gives_a_bound_of_the_roughness() {
     let [low, high] = found.sigma_interval95.unwrap();
     assert!(low == 0.0 && brdf.sigma < high, "{low} to {high}");
     assert!(found.brdf.unwrap().sigma < high);
+}
+
+/// What soft gloss is found on a capture whose views are exposed by these factors.
+fn soft_gloss_of(mut capture: Capture, exposures: &[f32]) -> Option<Ending> {
+    for (view, exposure) in capture.views.iter_mut().zip(exposures) {
+        let radiance = &mut Arc::make_mut(&mut view.photograph).radiance;
+        for value in radiance.as_flattened_mut() {
+            *value *= exposure;
+        }
+    }
+    with_solver(&capture, |solver| {
+        let mut watch = Watch {
+            iterations: &mut Vec::new(),
+            observer: &mut Unobserved,
+        };
+        soft_gloss::found(solver, SpecularChoice::Auto, &mut watch).unwrap()
+    })
+}
+
+#[test]
+fn gloss_that_mirrors_a_window_is_found_with_the_window() {
+    let window = Vec3::new(0.8, 0.5, 0.3).normalize_or_zero();
+    let brdf = Brdf::new(SpecularModel::Ggx, 0.08);
+    let sky = |l: Vec3| 0.1 + 2.0 * l.dot(window).max(0.0).powi(8);
+    let found = soft_gloss_of(under_sky(&brdf, sky), &[]).expect("gloss");
+    let nodes = found.grid.directions.iter().zip(&found.fit.nodes);
+    let away = |cos: f32, less: bool| -> f32 {
+        let there = nodes.clone().filter(|(l, _)| (l.dot(window) < cos) == less);
+        let (count, sum) = there.fold((0.0, 0.0), |(n, sum), (_, l)| (n + 1.0, sum + l[1]));
+        sum / count
+    };
+    // There is 16 times as much within 20° of it as where it isn't, and how strong that is depends on the roughness.
+    let ratio = away(0.94, false) / away(0.5, true);
+    assert!((ratio / 16.0).ln().abs() < 0.4, "{ratio}");
+    assert_eq!(found.fit.brdf.sigma, brdf.sigma);
+    let roughest = found.bound.expect("broad light leaves roughness open");
+    assert!(brdf.sigma < 1.01 * roughest, "{roughest}");
+}
+
+#[test]
+fn a_matte_object_has_no_soft_gloss_however_it_is_exposed() {
+    assert!(soft_gloss_of(matte(), &[]).is_none());
+    assert!(soft_gloss_of(matte(), &[1.0, 1.2, 0.9, 1.05, 0.85, 1.1]).is_none());
+}
+
+#[test]
+fn lights_that_explain_highlights_are_not_given_up_for_broad_light() {
+    with_solver(&load(), |solver| {
+        let mut watch = Watch {
+            iterations: &mut Vec::new(),
+            observer: &mut Unobserved,
+        };
+        let rules = Rules {
+            choice: SpecularChoice::Auto,
+            exposures: None,
+        };
+        let Outcome::Found(ending) = course::run(solver, rules, &mut watch).unwrap() else {
+            panic!("two lamps are found");
+        };
+        let bettered = soft_gloss::bettered(solver, &ending, SpecularChoice::Auto, &mut watch);
+        assert!(bettered.unwrap().is_none());
+        // What is not where any light is does worse.
+        let mut elsewhere = ending.fit.nodes.clone();
+        elsewhere.reverse();
+        let wrong = Ending {
+            fit: Fit {
+                nodes: elsewhere,
+                ..ending.fit
+            },
+            ..*ending
+        };
+        let bettered = soft_gloss::bettered(solver, &wrong, SpecularChoice::Auto, &mut watch);
+        assert!(bettered.unwrap().is_some());
+    });
 }
 
 #[test]
