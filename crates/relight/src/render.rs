@@ -12,7 +12,7 @@ use smallvec::{SmallVec, smallvec};
 
 use super::reflection::Surroundings;
 use super::samples::{Sample, Samples, bands};
-use super::shading::{Shade, Shader, ShadingPoint, Visibility, corners, is_coarse};
+use super::shading::{Draw, Shade, Shader, ShadingPoint, Visibility, corners, is_coarse};
 use super::triangle_shares::TriangleShares;
 use rekindle_capture::{Camera, Mesh};
 use rekindle_scene::reflectance::{Brdf, Gloss};
@@ -392,7 +392,7 @@ impl Tile<'_> {
                     if let Some(&mirrored) = mirrored.get(index) {
                         shade.specular += self.reflected(piece, main, mirrored);
                     }
-                    shade.specular += self.of_sky(piece);
+                    shade.specular += self.of_sky(piece, index);
                     self.add(&mut pixel, samples, &shade, piece, diffuse);
                 };
                 let seen = &visibility[index * groups..(index + 1) * groups];
@@ -522,8 +522,8 @@ impl Tile<'_> {
         mirrored * surroundings.reflectance(piece.point.gloss, cos_view)
     }
 
-    /// What a piece mirrors of an environment's sky.
-    fn of_sky(&self, piece: &Piece) -> Vec3 {
+    /// What a piece of a pixel mirrors of an environment's sky. A texture is the mean of many pixels; of a metal all that they show is this.
+    fn of_sky(&self, piece: &Piece, pixel: usize) -> Vec3 {
         if !self.shader.shows_sky() {
             return Vec3::ZERO;
         }
@@ -534,9 +534,16 @@ impl Tile<'_> {
         } = piece.sample;
         let is_sheltered = (self.scene.surroundings)
             .is_none_or(|s| s.is_sheltered(self.scene.mesh, triangle, barycentric));
+        let gloss = piece.point.gloss;
+        let is_metal = (self.scene.brdf).is_some_and(|brdf| brdf.at(gloss).is_metal());
+        let draw = if self.triangles.is_some() && !is_metal {
+            Draw::Few(pixel)
+        } else {
+            Draw::Whole
+        };
         let view = self.view(&piece.point);
         self.shader
-            .specular_of_sky(&piece.point, view, is_sheltered)
+            .specular_of_sky(&piece.point, view, is_sheltered, draw)
     }
 
     /// Cosine of the largest angle between normals that mirror much the same: the mirrored direction turns by twice that
@@ -751,7 +758,9 @@ impl Tile<'_> {
     /// Whether a group may add to what is seen of a point. Of a soft one, of which there are many and mostly in the lobe, it takes
     /// as long to tell as to add it up.
     fn is_lit(&self, group: usize, point: &ShadingPoint, view: Vec3) -> bool {
-        let is_soft = self.triangles.is_some() && !self.shader.is_sharp(group);
+        let is_soft = self.triangles.is_some()
+            && !self.shader.is_sharp(group)
+            && !self.shader.is_in_sky(group);
         self.relit || is_soft || self.shader.is_in_lobe(group, point, view)
     }
 

@@ -21,7 +21,8 @@ use super::environment::{self, Environment};
 use super::lamp_groups::{Group, Horizon, Node, ONE_RAY, Role};
 use super::lighting::{LampNodes, Lighting};
 use super::patches::patches;
-use super::sky::{DrawnLobe, Sky};
+use super::sky::{DrawnLobe, FEW_HALF_VECTORS, HALF_VECTORS, Sky};
+use rekindle_base::math::GOLDEN_ANGLE;
 use rekindle_capture::Mesh;
 use rekindle_scene::reflectance::{Brdf, Gloss, MIN_COS_VIEW};
 use rekindle_scene::surface::Occluder;
@@ -136,9 +137,35 @@ pub struct Shader<'a> {
     tint: Vec3,
     support: Support,
     /// What of environments lobes mirror, their suns aside.
-    sky: Option<(Vec<Sky>, DrawnLobe)>,
+    sky: Option<SkyLight>,
     /// Once set, nothing more is computed.
     stop: Option<&'a AtomicBool>,
+}
+
+/// What of environments lobes mirror, and how.
+struct SkyLight {
+    skies: Vec<Sky>,
+    whole: DrawnLobe,
+    few: DrawnLobe,
+}
+
+impl SkyLight {
+    fn new(brdf: Brdf, environments: &[Cow<'_, Environment>]) -> Self {
+        Self {
+            skies: environments.iter().map(|e| e.sky.clone()).collect(),
+            whole: DrawnLobe::new(brdf, HALF_VECTORS),
+            few: DrawnLobe::new(brdf, FEW_HALF_VECTORS),
+        }
+    }
+}
+
+/// How closely a lobe is looked at.
+#[derive(Clone, Copy)]
+pub enum Draw {
+    /// By itself.
+    Whole,
+    /// By few of its half vectors, turned by the number of a pixel: what is wanted is the mean of many of these.
+    Few(usize),
 }
 
 /// Which lamps are shaded as one environment: where the wide ones together have more patches than that, all but suns.
@@ -210,10 +237,8 @@ impl<'a> Shader<'a> {
             let group = |(part, role)| Group::new(part, lighting.centre, role, unresolved);
             groups.extend(suns.chain(patches).filter_map(group));
         }
-        let sky = brdf.filter(|_| !environments.is_empty()).map(|brdf| {
-            let skies = environments.iter().map(|e| e.sky.clone());
-            (skies.collect(), DrawnLobe::new(brdf))
-        });
+        let sky = brdf.filter(|_| !environments.is_empty());
+        let sky = sky.map(|brdf| SkyLight::new(brdf, &environments));
         Self {
             occluder,
             brdf,
@@ -258,6 +283,11 @@ impl<'a> Shader<'a> {
     /// Whether a group's visibility has edges.
     pub fn is_sharp(&self, group: usize) -> bool {
         !self.groups[group].soft
+    }
+
+    /// Whether lobes show a group as part of the sky.
+    pub fn is_in_sky(&self, group: usize) -> bool {
+        self.groups[group].in_sky
     }
 
     /// Whether a group can add to the specular part seen at a point from the unit direction `view`, but for that of the sky.
@@ -582,9 +612,15 @@ impl<'a> Shader<'a> {
 
     /// Specular radiance of an environment's sky at a point seen from the unit direction `view`. What the rest of the surface may
     /// hide of it is found out by rays where the point `is_sheltered`.
-    pub fn specular_of_sky(&self, point: &ShadingPoint, view: Vec3, is_sheltered: bool) -> Vec3 {
+    pub fn specular_of_sky(
+        &self,
+        point: &ShadingPoint,
+        view: Vec3,
+        is_sheltered: bool,
+        draw: Draw,
+    ) -> Vec3 {
         let mut specular = Vec3::ZERO;
-        let (Some((skies, drawn)), Some(main)) = (&self.sky, self.brdf) else {
+        let (Some(sky), Some(main)) = (&self.sky, self.brdf) else {
             return specular;
         };
         if point.gloss.strength <= 0.0 || self.is_stopped() {
@@ -592,9 +628,14 @@ impl<'a> Shader<'a> {
         }
         let mut rays: SmallVec<[(Vec3, Vec3, f32); 64]> = SmallVec::new();
         let lobe = (main.at(point.gloss), point.gloss.roughness);
-        drawn.each(lobe, point.normal, view, |mirrored| {
+        let (drawn, angle) = match draw {
+            Draw::Whole => (&sky.whole, 0.0),
+            Draw::Few(pixel) => (&sky.few, pixel as f32 * GOLDEN_ANGLE),
+        };
+        drawn.each(lobe, angle, point.normal, view, |mirrored| {
             if mirrored.weight > 0.0 && mirrored.light.dot(point.face_normal) > 0.0 {
-                let arriving = mirrored.weight * of_skies(skies, mirrored.light, mirrored.spread);
+                let radiance = of_skies(&sky.skies, mirrored.light, mirrored.spread);
+                let arriving = mirrored.weight * radiance;
                 if is_sheltered {
                     rays.push((arriving, mirrored.light, f32::INFINITY));
                 } else {
@@ -615,7 +656,7 @@ impl<'a> Shader<'a> {
 
     /// The same by the middle of the lobe alone, for what is seen in a mirror.
     pub(super) fn specular_of_sky_in_mirror(&self, point: &ShadingPoint, view: Vec3) -> Vec3 {
-        let (Some((skies, _)), Some(main)) = (&self.sky, self.brdf) else {
+        let (Some(sky), Some(main)) = (&self.sky, self.brdf) else {
             return Vec3::ZERO;
         };
         let cos = point.normal.dot(view).max(MIN_COS_VIEW);
@@ -632,7 +673,7 @@ impl<'a> Shader<'a> {
         // Mirroring turns by twice the half vector's angle along the plane of view and normal, and by less across.
         let spread = 2.0 * brdf.sigma * cos.sqrt();
         let reflected = brdf.drawn_scale(cos) * brdf.drawn_reflectance(0.0, cos, cos);
-        of_skies(skies, light, spread) * (reflected * point.gloss.peak())
+        of_skies(&sky.skies, light, spread) * (reflected * point.gloss.peak())
     }
 
     /// Irradiance at a point, given its visibilities.

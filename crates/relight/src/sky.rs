@@ -23,8 +23,9 @@ const BLUR: f32 = 0.5;
 const READING: f32 = 1.0 / 6.0;
 /// Directions that a pixel's blur is the mean of.
 const TAPS: usize = 24;
-/// Half vectors of a lobe.
-const HALF_VECTORS: usize = 64;
+/// Half vectors of a lobe, and where pixels that are turned against each other show it together.
+pub(super) const HALF_VECTORS: usize = 64;
+pub(super) const FEW_HALF_VECTORS: usize = 16;
 
 /// The picture at one blur: a lat-long one, twice as wide as high.
 #[derive(Debug, PartialEq)]
@@ -194,9 +195,10 @@ pub(super) struct Mirrored {
 }
 
 impl DrawnLobe {
-    pub(super) fn new(main: Brdf) -> Self {
-        let half_vectors = (0..HALF_VECTORS).map(|i| {
-            let below = (i as f32 + 0.5) / HALF_VECTORS as f32;
+    /// So many of a lobe.
+    pub(super) fn new(main: Brdf, count: usize) -> Self {
+        let half_vectors = (0..count).map(|i| {
+            let below = (i as f32 + 0.5) / count as f32;
             let lean = main.facet_slope(below) * Vec2::from_angle(i as f32 * GOLDEN_ANGLE);
             (lean, below)
         });
@@ -206,16 +208,18 @@ impl DrawnLobe {
     }
 
     /// Calls `add` for every direction that a half vector of the lobe `brdf`, so many times as wide as the main one, mirrors to the
-    /// view. The sum of weight × radiance is the lobe under it.
+    /// view, all of them turned about the normal by an angle. The sum of weight × radiance is the lobe under it.
     pub(super) fn each(
         &self,
         (brdf, wider): (Brdf, f32),
+        angle: f32,
         normal: Vec3,
         view: Vec3,
         mut add: impl FnMut(Mirrored),
     ) {
         let frame = super::reflection::facing_frame(normal, view);
-        let lean = |lean: Vec2| frame * (wider * lean).extend(1.0).normalize_or(Vec3::Z);
+        let turn = wider * Vec2::from_angle(angle);
+        let lean = |lean: Vec2| frame * turn.rotate(lean).extend(1.0).normalize_or(Vec3::Z);
         let weights = self.half_vectors.iter().map(|&(along, _)| {
             let half = lean(along);
             half.dot(view).max(0.0) / half.dot(normal)
@@ -234,7 +238,8 @@ impl DrawnLobe {
             let light = half * (2.0 * cos_between) - view;
             let passes = brdf.drawn_reflectance(tan, normal.dot(light), cos_between);
             // Mirroring widens a solid angle by 4 v·h; of a disc a quarter of the squared radius is the variance.
-            let solid_angle = 4.0 * cos_between * brdf.drawn_solid_angle(below, tan, HALF_VECTORS);
+            let count = self.half_vectors.len();
+            let solid_angle = 4.0 * cos_between * brdf.drawn_solid_angle(below, tan, count);
             add(Mirrored {
                 light,
                 weight: scale * passes * cos_between / half.dot(normal),
@@ -280,7 +285,7 @@ mod tests {
     /// What a lobe about +Z shows of a sky.
     fn mirrored(brdf: Brdf, view: Vec3, sky: &Sky) -> f32 {
         let mut sum = 0.0;
-        DrawnLobe::new(brdf).each((brdf, 1.0), Vec3::Z, view, |m| {
+        DrawnLobe::new(brdf, HALF_VECTORS).each((brdf, 1.0), 0.0, Vec3::Z, view, |m| {
             sum += m.weight * sky.radiance(m.light, m.spread).x;
         });
         sum

@@ -126,7 +126,7 @@ pub(super) fn mirrored_in(
 }
 
 /// Adds light of cells, smoothly, to nodes that are dark; which they are.
-fn add(
+pub fn add(
     whole: &Solver<'_>,
     nodes: &mut [[f32; 3]],
     (cells, radiance): (&[Cell], &[[f32; 3]]),

@@ -100,6 +100,18 @@ impl Pyramid {
         }
     }
 
+    /// The cell of a level that a node of the finest one belongs to.
+    pub fn holding(&self, node: u32, level: u8) -> Cell {
+        let mut cell = Cell {
+            level: self.finest(),
+            node,
+        };
+        while cell.level > level {
+            cell = self.parent(cell);
+        }
+        cell
+    }
+
     /// Index of the finest level.
     pub fn finest(&self) -> u8 {
         (self.levels.len() - 1) as u8

@@ -14,7 +14,9 @@ use super::relief::{self, Bench, RefinedSurface, Relief};
 use super::shading::{Agreement, LightByShading};
 use super::state::State;
 use super::suspects::{Suspicion, better_lobe, left};
-use super::{broad_light, diagnose, exposures, soft_gloss, sparse_gloss, stated_gloss, strengths};
+use super::{
+    broad_light, diagnose, exposures, has_metal, soft_gloss, sparse_gloss, stated_gloss, strengths,
+};
 use glam::Vec3;
 use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_scene::hemisphere::HemisphereGrid;
@@ -61,6 +63,8 @@ pub struct Ending {
     pub allowed: [f32; 2],
     /// The nodes of the lights.
     pub grid: HemisphereGrid,
+    /// Those of them that belong to broad light, ascending.
+    pub broad_light: Vec<u32>,
     /// What says that there is gloss.
     pub grounds: Grounds,
     /// How far the shading has the same lights, where the fit leaves so much that this is asked.
@@ -101,10 +105,12 @@ pub struct Rules {
 }
 
 /// The default method from the first look to the end. Where it finds no gloss, or what it finds is to be doubted and no cause has a name, gloss
-/// that mirrors broad light only is looked for: what explains views left out best is taken.
+/// that mirrors broad light only is looked for, beside diffuse colours, which no metal has: what explains views left out best is taken.
 pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<Outcome, Stopped> {
     let outcome = with_shading(solver, rules, watch)?;
-    if solver.seen.turning.is_some() || solver.first.is_some() || watch.observer.enough() {
+    let is_metal = matches!(rules.choice, SpecularChoice::Model(SpecularModel::Metal));
+    let is_known = solver.seen.turning.is_some() || solver.first.is_some();
+    if is_metal || is_known || watch.observer.enough() {
         return Ok(outcome);
     }
     let under_broad = match &outcome {
@@ -124,13 +130,9 @@ pub fn run(solver: &Solver<'_>, rules: Rules, watch: &mut Watch<'_>) -> Result<O
 /// is stated needs no proof.
 fn is_open(ending: &Ending) -> bool {
     let has_grounds = matches!(ending.grounds, Grounds::Views | Grounds::FewParts);
-    let has_metal = {
-        let parts = ending.fit.parts.iter().flat_map(|parts| &parts.glosses);
-        let mut glosses = parts.map(|gloss| ending.fit.brdf.at(*gloss));
-        ending.fit.brdf.is_metal() || glosses.any(|brdf| brdf.is_metal())
-    };
+    let Fit { brdf, parts, .. } = &ending.fit;
     let is_doubted = diagnose::is_doubted(&ending.fit.misfit, ending.agreement);
-    has_grounds && !has_metal && is_doubted && ending.suspicion.is_none()
+    has_grounds && !has_metal(brdf, parts.as_ref()) && is_doubted && ending.suspicion.is_none()
 }
 
 /// What lights and shading say. Where no gloss shows under light from anywhere, or what is found is to be doubted and has
@@ -646,6 +648,7 @@ fn end(
         bound,
         allowed,
         grid: solver.grid.clone(),
+        broad_light: Vec::new(),
         grounds: Grounds::Views,
         agreement,
     })

@@ -31,13 +31,7 @@ impl HeldLights {
             if radiance.iter().all(|&v| v <= 0.0) {
                 continue;
             }
-            let mut cell = Cell {
-                level: finest,
-                node: node as u32,
-            };
-            while cell.level > level {
-                cell = pyramid.parent(cell);
-            }
+            let cell = pyramid.holding(node as u32, level);
             let sum = flux.entry(cell).or_default();
             for (sum, v) in sum.iter_mut().zip(radiance) {
                 *sum += v * solver.grid.solid_angle / solver.coarse.scale;
@@ -54,6 +48,36 @@ impl HeldLights {
             cells,
             brdf,
         }
+    }
+
+    /// A radiance per node of a grid all around where lights of nodes, of the first of these, are as strong as their cells have it; in the
+    /// capture's units.
+    pub fn relit(
+        solver: &Solver<'_>,
+        nodes: &[[f32; 3]],
+        (cells, radiance): (&[Cell], &[[f32; 3]]),
+    ) -> Vec<[f32; 3]> {
+        let mut relit = vec![[0.0; 3]; solver.grid.directions.len()];
+        let Some(level) = cells.first().map(|cell| cell.level) else {
+            return relit;
+        };
+        let angles = solver.pyramid.geometry(cells).solid_angles;
+        let lit = |radiance: &[f32; 3]| radiance.iter().sum::<f32>();
+        let of_cells: BTreeMap<Cell, usize> = cells.iter().copied().zip(0..).collect();
+        let place = |node: usize| of_cells.get(&solver.pyramid.holding(node as u32, level));
+        let mut before = vec![0.0_f32; cells.len()];
+        for (node, radiance) in nodes.iter().enumerate() {
+            if let Some(&k) = place(node) {
+                before[k] += lit(radiance);
+            }
+        }
+        for (node, own) in nodes.iter().enumerate() {
+            if let Some(&k) = place(node).filter(|&&k| before[k] > 0.0) {
+                let share = lit(own) / before[k] * angles[k] / solver.grid.solid_angle;
+                relit[node] = radiance[k].map(|v| share * v * solver.coarse.scale);
+            }
+        }
+        relit
     }
 
     /// Points at which they could show.

@@ -32,7 +32,7 @@ const ENOUGH: usize = 2000;
 /// hundred are lit by what the model leaves out, and drown the few lights that there are.
 const PRICES: [f64; 4] = [16.0, 8.0, 4.0, 2.0];
 /// Roughnesses that are tried, radians.
-const ROUGHNESSES: [f32; 5] = [0.03, 0.05, 0.08, 0.13, 0.2];
+pub const ROUGHNESSES: [f32; 5] = [0.03, 0.05, 0.08, 0.13, 0.2];
 /// A point's radiance below which what is left there is not compared with it but with this, as a part of the mean radiance.
 const DARK: f32 = 0.1;
 /// Standard deviations of noise by which explanations differ at a point that can tell between them.
@@ -61,8 +61,9 @@ impl AddAssign for Left {
 #[derive(Clone, Copy, Debug)]
 pub struct LeftAt {
     /// See [`Point::pixel`].
-    pixel: (usize, u32, u32),
-    position: Vec3,
+    pub pixel: (usize, u32, u32),
+    /// See [`Point::position`].
+    pub position: Vec3,
     /// How much.
     pub left: f64,
 }

@@ -59,7 +59,7 @@ use serde::{Deserialize, Serialize};
 use crate::registration;
 use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_capture::{Capture, View};
-use rekindle_scene::hemisphere::{HemisphereGrid, find_lamps, rest};
+use rekindle_scene::hemisphere::HemisphereGrid;
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 use rekindle_scene::shortcuts::{LeftOut, ShortcutSet, Shortcuts};
 use rekindle_scene::surface::{GlossParts, Occluder, ViewSurface};
@@ -236,11 +236,14 @@ impl Estimate {
 
     /// Whether the surface or a part of it is of metal.
     pub fn has_metal(&self) -> bool {
-        let mut glosses = self.parts.iter().flat_map(|parts| &parts.glosses);
-        let mut is_metal =
-            |main: Brdf| main.is_metal() || glosses.any(|gloss| main.at(*gloss).is_metal());
-        self.brdf.is_some_and(&mut is_metal)
+        (self.brdf.as_ref()).is_some_and(|main| has_metal(main, self.parts.as_ref()))
     }
+}
+
+/// Whether a surface with this main lobe, or a part of it, is of metal.
+fn has_metal(main: &Brdf, parts: Option<&GlossParts>) -> bool {
+    let mut glosses = parts.into_iter().flat_map(|parts| &parts.glosses);
+    main.is_metal() || glosses.any(|gloss| main.at(*gloss).is_metal())
 }
 
 /// Estimates roughness and lighting of a capture.
@@ -676,6 +679,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         bound,
         allowed,
         grid,
+        broad_light,
         grounds,
         agreement,
     } = ending;
@@ -726,11 +730,7 @@ fn accept(result: &mut Estimate, solver: &Solver<'_>, ending: Ending) {
         result.chosen_because += &diagnose::parts(parts, sigma);
         result.chosen_because += diagnose::metals(parts, &fit.brdf);
     }
-    if grounds == Grounds::BroadLight {
-        let lamps = find_lamps(&grid, &fit.nodes);
-        let rest = rest(&grid, &fit.nodes, &lamps);
-        result.broad_light = rest.map(|rest| rest.nodes).unwrap_or_default();
-    }
+    result.broad_light = broad_light;
     result.grid = grid;
     result.radiance = fit.nodes;
     result.parts = fit.parts;

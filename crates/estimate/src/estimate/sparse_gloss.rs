@@ -77,6 +77,7 @@ pub fn found(
             bound: None,
             allowed: [1.0; 2],
             grid: light.grid().clone(),
+            broad_light: Vec::new(),
             grounds: Grounds::FewParts,
             agreement: None,
         }))

@@ -262,8 +262,7 @@ impl<'a> State<'a> {
         ridge: f64,
         precision: Precision,
     ) {
-        let cells = self.cells.clone();
-        self.solve_lights_held(precision, |gram| {
+        self.solve_lights_held(precision, |cells, gram| {
             let mean = mean_diagonal(gram);
             for (i, _) in cells.iter().enumerate().filter(|(_, c)| even(c)) {
                 gram[(i, i)] += ridge * mean;
@@ -278,18 +277,22 @@ impl<'a> State<'a> {
         smoothness: f64,
         precision: Precision,
     ) {
-        self.solve_lights_held(precision, |gram| {
+        self.solve_lights_held(precision, |_, gram| {
             let weight = smoothness * mean_diagonal(gram);
             hold_together(gram, joined, weight);
         });
     }
 
     /// [`State::solve_lights`] with something more known of the lights than rows say, which is added to the Gram matrix.
-    fn solve_lights_held(&mut self, precision: Precision, hold: impl FnOnce(&mut Mat<f64>)) {
+    fn solve_lights_held(
+        &mut self,
+        precision: Precision,
+        hold: impl FnOnce(&[Cell], &mut Mat<f64>),
+    ) {
         self.candidates = (0..self.cells.len()).collect();
         let system = self.take_system(precision);
         let mut held = system.equations.clone();
-        hold(&mut held.gram);
+        hold(&self.cells, &mut held.gram);
         self.radiance = self.fitted(&held, &self.candidates, &self.radiance, precision);
         self.system = Some(system);
         self.predict();

@@ -53,6 +53,7 @@ pub fn under_shading(
         bound: None,
         allowed: [1.0; 2],
         grid: light.grid().clone(),
+        broad_light: Vec::new(),
         grounds: Grounds::StatedUnderShading,
         agreement: None,
     }))

@@ -308,6 +308,64 @@ fn lights_that_explain_highlights_are_not_given_up_for_broad_light() {
 }
 
 #[test]
+fn a_sun_that_was_found_gets_the_sky_beside_it() {
+    let (sun, blue) = (Vec3::new(-0.5, 0.7, 0.5), Vec3::new(0.8, 0.5, 0.3));
+    let [sun, blue] = [sun, blue].map(Vec3::normalize_or_zero);
+    let brdf = Brdf::new(SpecularModel::Ggx, 0.08);
+    let shines = |l: Vec3| l.dot(sun) > 8.0_f32.to_radians().cos();
+    let of_sky = |l: Vec3| 0.1 + 2.0 * l.dot(blue).max(0.0).powi(8);
+    let sky = |l: Vec3| if shines(l) { 30.0 } else { of_sky(l) };
+    with_solver(&under_sky(&brdf, sky), |solver| {
+        let mut watch = Watch {
+            iterations: &mut Vec::new(),
+            observer: &mut Unobserved,
+        };
+        let rules = Rules {
+            choice: SpecularChoice::Auto,
+            exposures: None,
+        };
+        let Outcome::Found(ending) = course::run(solver, rules, &mut watch).unwrap() else {
+            panic!("the sun is found");
+        };
+        let only_sun = solver
+            .grid
+            .directions
+            .iter()
+            .map(|&l| if shines(l) { [9.0; 3] } else { [0.0; 3] });
+        let found = Ending {
+            fit: Fit {
+                brdf: Brdf {
+                    sigma: 1.3 * brdf.sigma,
+                    ..brdf
+                },
+                nodes: only_sun.collect(),
+                ..ending.fit
+            },
+            refined: None,
+            ..*ending
+        };
+        let bettered = soft_gloss::bettered(solver, &found, SpecularChoice::Auto, &mut watch);
+        let bettered = bettered.unwrap().expect("a sky");
+        assert_eq!(bettered.grounds, found.grounds);
+        let sigma = bettered.fit.brdf.sigma;
+        assert!((sigma / brdf.sigma).ln().abs() < 0.2, "{sigma}");
+        let nodes = bettered.grid.directions.iter().zip(&bettered.fit.nodes);
+        let mean = |is_there: &dyn Fn(Vec3) -> bool| -> f32 {
+            let there = nodes.clone().filter(|(l, _)| is_there(**l));
+            let (count, sum) = there.fold((0.0, 0.0), |(n, sum), (_, l)| (n + 1.0, sum + l[1]));
+            sum / count
+        };
+        let by_sun = mean(&shines) / mean(&|l| l.dot(blue) > 0.94);
+        assert!((by_sun / 17.0).ln().abs() < 0.4, "{by_sun}");
+        let sky_alone = bettered.broad_light.len();
+        assert!(
+            sky_alone > bettered.grid.directions.len() / 2,
+            "{sky_alone}"
+        );
+    });
+}
+
+#[test]
 fn a_mesh_coarser_than_the_highlights_is_refined() {
     let capture = load_named("spot_decimated");
     let found = fast(&capture);
