@@ -21,7 +21,7 @@ use super::environment::{self, Environment};
 use super::lamp_groups::{Group, Horizon, Node, ONE_RAY, Role};
 use super::lighting::{LampNodes, Lighting};
 use super::patches::patches;
-use super::sky::{DrawnLobe, FEW_HALF_VECTORS, HALF_VECTORS, Sky};
+use super::sky::{DrawnLobe, FEW_CASES, Sky};
 use rekindle_base::math::GOLDEN_ANGLE;
 use rekindle_capture::Mesh;
 use rekindle_scene::reflectance::{Brdf, Gloss, MIN_COS_VIEW};
@@ -146,15 +146,15 @@ pub struct Shader<'a> {
 struct SkyLight {
     skies: Vec<Sky>,
     whole: DrawnLobe,
-    few: DrawnLobe,
+    few: [DrawnLobe; FEW_CASES],
 }
 
 impl SkyLight {
     fn new(brdf: Brdf, environments: &[Cow<'_, Environment>]) -> Self {
         Self {
             skies: environments.iter().map(|e| e.sky.clone()).collect(),
-            whole: DrawnLobe::new(brdf, HALF_VECTORS),
-            few: DrawnLobe::new(brdf, FEW_HALF_VECTORS),
+            whole: DrawnLobe::new(brdf),
+            few: DrawnLobe::few(brdf),
         }
     }
 }
@@ -164,7 +164,7 @@ impl SkyLight {
 pub enum Draw {
     /// By itself.
     Whole,
-    /// By few of its half vectors, turned by the number of a pixel: what is wanted is the mean of many of these.
+    /// By few of its half vectors, which and how turned the number of a pixel says: what is wanted is the mean of many of these.
     Few(usize),
 }
 
@@ -630,7 +630,7 @@ impl<'a> Shader<'a> {
         let lobe = (main.at(point.gloss), point.gloss.roughness);
         let (drawn, angle) = match draw {
             Draw::Whole => (&sky.whole, 0.0),
-            Draw::Few(pixel) => (&sky.few, pixel as f32 * GOLDEN_ANGLE),
+            Draw::Few(pixel) => (&sky.few[pixel % FEW_CASES], pixel as f32 * GOLDEN_ANGLE),
         };
         drawn.each(lobe, angle, point.normal, view, |mirrored| {
             if mirrored.weight > 0.0 && mirrored.light.dot(point.face_normal) > 0.0 {

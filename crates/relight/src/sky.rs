@@ -23,9 +23,9 @@ const BLUR: f32 = 0.5;
 const READING: f32 = 1.0 / 6.0;
 /// Directions that a pixel's blur is the mean of.
 const TAPS: usize = 24;
-/// Half vectors of a lobe, and where pixels that are turned against each other show it together.
-pub(super) const HALF_VECTORS: usize = 64;
-pub(super) const FEW_HALF_VECTORS: usize = 16;
+/// Half vectors of a lobe, and of how many pixels each has some of them.
+const HALF_VECTORS: usize = 64;
+pub(super) const FEW_CASES: usize = 4;
 
 /// The picture at one blur: a lat-long one, twice as wide as high.
 #[derive(Debug, PartialEq)]
@@ -195,10 +195,21 @@ pub(super) struct Mirrored {
 }
 
 impl DrawnLobe {
-    /// So many of a lobe.
-    pub(super) fn new(main: Brdf, count: usize) -> Self {
+    /// All of a lobe.
+    pub(super) fn new(main: Brdf) -> Self {
+        Self::drawn(main, HALF_VECTORS, 0.5)
+    }
+
+    /// Few of a lobe, in each case others: they share all of the lobe among them.
+    pub(super) fn few(main: Brdf) -> [Self; FEW_CASES] {
+        let place = |case: usize| (case as f32 + 0.5) / FEW_CASES as f32;
+        std::array::from_fn(|case| Self::drawn(main, HALF_VECTORS / FEW_CASES, place(case)))
+    }
+
+    /// So many, each at this place in its share of all.
+    fn drawn(main: Brdf, count: usize, place: f32) -> Self {
         let half_vectors = (0..count).map(|i| {
-            let below = (i as f32 + 0.5) / count as f32;
+            let below = (i as f32 + place) / count as f32;
             let lean = main.facet_slope(below) * Vec2::from_angle(i as f32 * GOLDEN_ANGLE);
             (lean, below)
         });
@@ -254,6 +265,7 @@ mod tests {
     use std::f32::consts::TAU;
 
     use super::*;
+    use crate::shading::Draw;
     use crate::{LampNodes, LatLong, LightNode, Lighting, Shader, ShadingPoint};
     use rekindle_capture::Mesh;
     use rekindle_scene::reflectance::{Gloss, SpecularModel};
@@ -285,7 +297,7 @@ mod tests {
     /// What a lobe about +Z shows of a sky.
     fn mirrored(brdf: Brdf, view: Vec3, sky: &Sky) -> f32 {
         let mut sum = 0.0;
-        DrawnLobe::new(brdf, HALF_VECTORS).each((brdf, 1.0), 0.0, Vec3::Z, view, |m| {
+        DrawnLobe::new(brdf).each((brdf, 1.0), 0.0, Vec3::Z, view, |m| {
             sum += m.weight * sky.radiance(m.light, m.spread).x;
         });
         sum
@@ -331,6 +343,33 @@ mod tests {
                     (found - expected).abs() < 0.1,
                     "{model:?}, cos {cos}: {found} for {expected}, of 3"
                 );
+            }
+        }
+    }
+
+    #[test]
+    fn few_half_vectors_of_many_pixels_show_what_all_do() {
+        let window = Vec3::new(-0.6, 0.2, 0.7).normalize_or_zero();
+        let radiance = |d: Vec3| 0.2 + 3.0 * d.dot(window).max(0.0).powi(20);
+        let sky = sky(|d| Vec3::splat(radiance(d)));
+        for sigma in [0.08, 0.25] {
+            let brdf = Brdf::new(SpecularModel::Ggx, sigma);
+            let few = DrawnLobe::few(brdf);
+            for cos in [0.95, 0.7, 0.4] {
+                let shown = |pixel: usize| {
+                    let (mut sum, angle) = (0.0, pixel as f32 * GOLDEN_ANGLE);
+                    few[pixel % FEW_CASES].each((brdf, 1.0), angle, Vec3::Z, tilted(cos), |m| {
+                        sum += m.weight * sky.radiance(m.light, m.spread).x;
+                    });
+                    sum
+                };
+                let mean = (0..64).map(shown).sum::<f32>() / 64.0;
+                let expected = integrated(brdf, tilted(cos), radiance);
+                let part = mean / expected;
+                assert!((part - 1.0).abs() < 0.035, "σ {sigma}, cos {cos}: {part}");
+                let off = (0..64).map(|pixel| (shown(pixel) / mean - 1.0).powi(2));
+                let noise = (off.sum::<f32>() / 64.0).sqrt();
+                assert!(noise < 0.2, "σ {sigma}, cos {cos}: {noise}");
             }
         }
     }
@@ -394,8 +433,8 @@ mod tests {
         let shader = Shader::new(&occluder, Some(brdf), &lighting);
         let point = ShadingPoint::smooth(Vec3::ZERO, Vec3::Y);
         let view = Vec3::new(0.1, 0.1, 0.0).normalize_or_zero();
-        let open = shader.specular_of_sky(&point, view, false);
-        let sheltered = shader.specular_of_sky(&point, view, true);
+        let open = shader.specular_of_sky(&point, view, false, Draw::Whole);
+        let sheltered = shader.specular_of_sky(&point, view, true, Draw::Whole);
         assert!(open.min_element() > 0.0, "{open}");
         assert!(
             sheltered.max_element() < 0.01 * open.x,
@@ -410,9 +449,9 @@ mod tests {
             strength: 0.5,
             ..Gloss::MAIN
         };
-        let none = shader.specular_of_sky(&point.with_gloss(matt), view, false);
+        let none = shader.specular_of_sky(&point.with_gloss(matt), view, false, Draw::Whole);
         assert_eq!(none, Vec3::ZERO);
-        let weak = shader.specular_of_sky(&point.with_gloss(half), view, false);
+        let weak = shader.specular_of_sky(&point.with_gloss(half), view, false, Draw::Whole);
         assert!((weak / open - 0.5).abs().max_element() < 1e-3, "{weak}");
     }
 
@@ -464,7 +503,7 @@ mod tests {
                         let cos = n.direction.y.max(0.0);
                         n.flux() * cos * brdf.diffuse_entry(cos)
                     };
-                    let sky = shader.specular_of_sky(&point, view, true);
+                    let sky = shader.specular_of_sky(&point, view, true, Draw::Whole);
                     let shade = shader.shade(&point, view, &seen);
                     let specular: Vec3 = nodes().filter(is_seen).map(lobe).sum();
                     let open: Vec3 = nodes().map(lobe).sum();
