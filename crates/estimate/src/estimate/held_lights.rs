@@ -22,10 +22,30 @@ pub struct HeldLights {
 impl HeldLights {
     /// Lights of a radiance per node, in the capture's units, on cells that are as coarse as a lobe allows.
     pub fn of(solver: &Solver<'_>, brdf: Brdf, nodes: &[[f32; 3]]) -> Self {
+        Self::on_level(solver, brdf, nodes, Self::level(solver, brdf))
+    }
+
+    /// The same on coarser cells where they would be more than so many, as those of wide lights are.
+    pub fn on_few(solver: &Solver<'_>, brdf: Brdf, nodes: &[[f32; 3]], most: usize) -> Self {
+        let mut level = Self::level(solver, brdf);
+        loop {
+            let lights = Self::on_level(solver, brdf, nodes, level);
+            if level == 0 || lights.cells.len() <= most {
+                return lights;
+            }
+            level -= 1;
+        }
+    }
+
+    /// The coarsest level whose cells a lobe does not tell from their middles.
+    fn level(solver: &Solver<'_>, brdf: Brdf) -> u8 {
+        let finest = solver.pyramid.finest();
+        let fits = |level: &u8| solver.pyramid.spacing(*level) < brdf.sigma;
+        (0..=finest).find(fits).unwrap_or(finest)
+    }
+
+    fn on_level(solver: &Solver<'_>, brdf: Brdf, nodes: &[[f32; 3]], level: u8) -> Self {
         let pyramid = solver.pyramid;
-        let finest = pyramid.finest();
-        let fits = |level: u8| pyramid.spacing(level) < brdf.sigma;
-        let level = (0..=finest).find(|&level| fits(level)).unwrap_or(finest);
         let mut flux: BTreeMap<Cell, [f32; 3]> = BTreeMap::new();
         for (node, radiance) in nodes.iter().enumerate() {
             if radiance.iter().all(|&v| v <= 0.0) {

@@ -37,6 +37,8 @@ const SMOOTHNESS: [f64; 5] = [1e-3, 1e-2, 0.1, 1.0, 10.0];
 const ROUGHER: [f32; 2] = [0.32, 0.5];
 /// The same beside lights, as parts of what they were found with: what the sky shows widened their lobe.
 const NARROWER: [f32; 4] = [1.0, 0.84, 0.71, 0.5];
+/// Cells of lights that smooth light is beside, at most.
+const MOST_CELLS: usize = 300;
 /// Views are left out in so many turns at most, and where it is only asked how rough.
 const MOST_TURNS: usize = 6;
 const ROUGH_TURNS: usize = 3;
@@ -83,7 +85,7 @@ pub fn bettered(
     let Fit {
         brdf, parts, nodes, ..
     } = &ending.fit;
-    let lights = HeldLights::of(&whole, *brdf, nodes);
+    let lights = HeldLights::on_few(&whole, *brdf, nodes, MOST_CELLS);
     let with_lights = board.beside(&lights, parts.as_ref());
     let turns = Turns::of(&whole, MOST_TURNS);
     let by_lights = with_lights.left_by_lights(*brdf, turns);
