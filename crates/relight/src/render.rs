@@ -28,6 +28,8 @@ const EDGE_SHARE: f32 = 0.02;
 const PIECE_ROUGHNESS: f32 = 0.4;
 /// … and at most this angle, radians.
 const PIECE_ANGLE: f32 = 0.1;
+/// Pixels along each side of the largest block that may be one smooth piece for a texture.
+const BLOCK: usize = 4;
 
 /// The object as the renderer needs it.
 #[derive(Clone, Copy)]
@@ -381,6 +383,7 @@ impl Tile<'_> {
             .shader
             .visibility(&mains, self.size[0], spacing, &wanted, &told);
         let mirrored = self.mirrored(&pieces, &mains, spacing);
+        let sky = self.sky_of_blocks(&pieces);
         (0..count)
             .map(|index| {
                 let samples = self.samples_of(index);
@@ -392,7 +395,10 @@ impl Tile<'_> {
                     if let Some(&mirrored) = mirrored.get(index) {
                         shade.specular += self.reflected(piece, main, mirrored);
                     }
-                    shade.specular += self.of_sky(piece, index);
+                    let shared = sky.get(index).copied().flatten();
+                    let is_main = std::ptr::eq(piece, &raw const pieces[index][0]);
+                    shade.specular +=
+                        (shared.filter(|_| is_main)).unwrap_or_else(|| self.of_sky(piece, index));
                     self.add(&mut pixel, samples, &shade, piece, diffuse);
                 };
                 let seen = &visibility[index * groups..(index + 1) * groups];
@@ -520,6 +526,80 @@ impl Tile<'_> {
         };
         let cos_view = piece.point.normal.dot(self.view(&piece.point));
         mirrored * surroundings.reflectance(piece.point.gloss, cos_view)
+    }
+
+    /// What the main pieces of pixels mirror of an environment's sky, for a texture: blocks of them that are one smooth piece are looked at
+    /// together. Nothing of those that are to be looked at one by one.
+    fn sky_of_blocks(&self, pieces: &[Pieces]) -> Vec<Option<Vec3>> {
+        if self.triangles.is_none() || !self.shader.shows_sky() {
+            return Vec::new();
+        }
+        let mut shared = vec![None; pieces.len()];
+        for y in (0..self.size[1]).step_by(BLOCK) {
+            for x in (0..self.size[0]).step_by(BLOCK) {
+                self.share_sky([x, y], BLOCK, pieces, &mut shared);
+            }
+        }
+        shared
+    }
+
+    /// The same of one block, or of its quarters.
+    fn share_sky(
+        &self,
+        [x, y]: [usize; 2],
+        side: usize,
+        pieces: &[Pieces],
+        shared: &mut [Option<Vec3>],
+    ) {
+        let [width, height] = self.size;
+        let rows = y..(y + side).min(height);
+        let pixels = rows.flat_map(|row| (x..(x + side).min(width)).map(move |x| row * width + x));
+        let block: SmallVec<[usize; BLOCK * BLOCK]> =
+            pixels.filter(|&i| !pieces[i].is_empty()).collect();
+        if block.len() < 2 {
+            return;
+        }
+        if let Some(joined) = self.joined(&block, pieces, side) {
+            let radiance = self.of_sky(&joined, (y * width / side + x) / side);
+            for i in block {
+                shared[i] = Some(radiance);
+            }
+        } else if side > 2 {
+            let half = side / 2;
+            for [right, down] in [[0, 0], [half, 0], [0, half], [half, half]] {
+                self.share_sky([x + right, y + down], half, pieces, shared);
+            }
+        }
+    }
+
+    /// The main pieces of a block's pixels as one, if they are smooth together and no metal.
+    fn joined(&self, block: &[usize], pieces: &[Pieces], side: usize) -> Option<Piece> {
+        let points = || block.iter().map(|&i| &pieces[i][0].point);
+        let middle = &pieces[block[block.len() / 2]][0];
+        let ShadingPoint {
+            position,
+            face_normal,
+            gloss,
+            ..
+        } = middle.point;
+        let normal: Vec3 = points().map(|point| point.normal).sum();
+        let normal = normal.normalize_or(middle.point.normal);
+        let thickness = side as f32 * self.footprint * position.distance(self.eye);
+        let is_metal = (self.scene.brdf).is_some_and(|brdf| brdf.at(gloss).is_metal());
+        let is_smooth = !is_metal
+            && points().all(|point| {
+                let height = (point.position - position).dot(face_normal).abs();
+                point.normal.dot(normal) > self.piece_cos()
+                    && height < thickness
+                    && point.gloss == gloss
+            });
+        is_smooth.then_some(Piece {
+            point: ShadingPoint {
+                normal,
+                ..middle.point
+            },
+            ..*middle
+        })
     }
 
     /// What a piece of a pixel mirrors of an environment's sky. A texture is the mean of many pixels; of a metal all that they show is this.

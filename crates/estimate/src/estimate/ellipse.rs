@@ -141,14 +141,47 @@ impl Ellipse {
 
     /// Nodes within `beyond`, radians, of it.
     pub fn reach(&self, grid: &HemisphereGrid, beyond: f32) -> impl Iterator<Item = usize> {
-        let (long, ..) = eigen(self.shape);
-        let reach = (self.centre.length() + long + beyond).min(1.5).cos();
-        let pole = self.frame.pole;
+        let (pole, reach) = (self.frame.pole, self.cos_reach(beyond));
         (0..grid.directions.len()).filter(move |&i| grid.directions[i].dot(pole) > reach)
+    }
+
+    /// Cosine of the angle from its frame's pole within which all of it and what is within `beyond`, radians, of it lies.
+    fn cos_reach(&self, beyond: f32) -> f32 {
+        let (long, ..) = eigen(self.shape);
+        (self.centre.length() + long + beyond).min(1.5).cos()
     }
 
     /// Its nodes and their radiance.
     pub fn nodes(&self, grid: &HemisphereGrid) -> Vec<(usize, [f32; 3])> {
+        self.lit(grid, self.reach(grid, grid.spacing()))
+    }
+
+    /// All nodes of a grid, those first that are nearest to the direction from which its changes count.
+    pub fn nearest_first(&self, grid: &HemisphereGrid) -> Vec<u32> {
+        let towards = |node: &u32| grid.directions[*node as usize].dot(self.frame.pole);
+        let mut nodes: Vec<u32> = (0..grid.directions.len() as u32).collect();
+        nodes.sort_by(|a, b| towards(b).total_cmp(&towards(a)));
+        nodes
+    }
+
+    /// The same nodes and radiance, of nodes in the order of [`Self::nearest_first`], so that not all are looked at.
+    pub fn nodes_among(
+        &self,
+        grid: &HemisphereGrid,
+        nearest_first: &[u32],
+    ) -> Vec<(usize, [f32; 3])> {
+        let (pole, reach) = (self.frame.pole, self.cos_reach(grid.spacing()));
+        let nodes = nearest_first.iter().map(|&node| node as usize);
+        let reached = nodes.take_while(|&node| grid.directions[node].dot(pole) > reach);
+        self.lit(grid, reached)
+    }
+
+    /// Those of some nodes that it covers, and their radiance.
+    fn lit(
+        &self,
+        grid: &HemisphereGrid,
+        reached: impl Iterator<Item = usize>,
+    ) -> Vec<(usize, [f32; 3])> {
         let margin = 0.5 * grid.spacing();
         let (long, short, axis) = eigen(self.shape);
         let coverage = |node: usize| {
@@ -156,8 +189,7 @@ impl Ellipse {
             let turned = Vec2::new(p.dot(axis), axis.perp_dot(p));
             coverage(turned, Vec2::new(long, short), margin)
         };
-        let cover: Vec<(usize, f32)> = self
-            .reach(grid, 2.0 * margin)
+        let cover: Vec<(usize, f32)> = reached
             .map(|node| (node, coverage(node)))
             .filter(|(_, covered)| *covered > 0.0)
             .collect();

@@ -10,6 +10,7 @@ use std::sync::atomic::Ordering;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::region::{Receivers, Region};
 use super::{DARK, contrasts, differences, every_second, mean, robust_weights};
@@ -258,7 +259,7 @@ impl Fitting<'_> {
 
     /// The same discs as bright as makes the mean irradiance 1.
     fn lit(&self, discs: Discs) -> Lit {
-        let by_disc = discs.all.iter();
+        let by_disc = discs.all.par_iter();
         let by_disc = by_disc.map(|disc| self.irradiance(disc.region, &disc.shape));
         let by_disc = by_disc.collect();
         self.normalised(discs, by_disc)
@@ -346,13 +347,14 @@ impl Equations {
         let mut columns = lit.by_disc.clone();
         columns.extend_from_slice(fitting.beside);
         if free == Free::All {
-            for disc in &lit.discs.all {
+            let by_shape = lit.discs.all.par_iter().flat_map_iter(|disc| {
                 let by_shape = fitting.by_shape(disc).into_iter();
-                columns.extend(by_shape.map(|slopes| {
+                by_shape.map(|slopes| {
                     let slopes = slopes.iter();
                     slopes.map(|slope| disc.flux * slope).collect()
-                }));
-            }
+                })
+            });
+            columns.par_extend(by_shape);
         }
         let differences = differences(pairs, fitting.radiance, &lit.all);
         let (usual, weights) = robust_weights(&differences);
@@ -400,8 +402,9 @@ impl Equations {
 
 /// Weighted derivatives of the differences of pairs' albedos by numbers of which these are the points' irradiances.
 fn slopes(columns: &[Vec<f64>], pairs: &[[usize; 2]], lit: &[f64], weights: &[f64]) -> Mat<f64> {
+    let unit: Vec<f64> = lit.iter().map(|lit| (lit + DARK).recip()).collect();
     Mat::from_fn(pairs.len(), columns.len(), |row, k| {
-        let slope = |p: usize| columns[k][p] / (lit[p] + DARK);
+        let slope = |p: usize| columns[k][p] * unit[p];
         let [p, q] = pairs[row];
         weights[row] * (slope(p) - slope(q))
     })

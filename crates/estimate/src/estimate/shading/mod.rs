@@ -283,15 +283,22 @@ impl<'a> Shading<'a> {
                 return vec![0.0; lights.len()];
             }
             let origin = solver.occluder.offset_origin(point.position, point.normal);
-            let of = |&(direction, solid_angle): &(Vec3, f32)| {
-                let (to, falloff) = light_from(solver.near, direction, point.position);
-                let cosine = point.normal.dot(to);
-                if cosine <= 0.0 || solver.occluder.occluded(origin, to, f32::INFINITY) {
-                    return 0.0;
+            let rays = lights
+                .iter()
+                .enumerate()
+                .filter_map(|(k, &(direction, solid_angle))| {
+                    let (to, falloff) = light_from(solver.near, direction, point.position);
+                    let cosine = point.normal.dot(to);
+                    let value = f64::from(falloff * cosine * solid_angle);
+                    (cosine > 0.0).then_some(((k, value), to, f32::INFINITY))
+                });
+            let mut irradiance = vec![0.0; lights.len()];
+            (solver.occluder).each_occluded(origin, rays, |(k, value), is_hidden| {
+                if !is_hidden {
+                    irradiance[k] = value;
                 }
-                f64::from(falloff * cosine * solid_angle)
-            };
-            lights.iter().map(of).collect()
+            });
+            irradiance
         };
         let irradiance: Vec<Vec<f64>> = observations.points.par_iter().map(irradiance).collect();
         let of_light = |k: usize| mean(&irradiance.iter().map(|row| row[k]).collect::<Vec<_>>());
@@ -453,8 +460,11 @@ fn every_second(pairs: &[[usize; 2]], half: usize) -> Vec<[usize; 2]> {
 
 /// Logarithm of the ratio of each pair's albedos, by the points' radiance and irradiance, both with a mean of 1.
 fn differences(pairs: &[[usize; 2]], radiance: &[f64], lit: &[f64]) -> Vec<f64> {
-    let albedo = |p: usize| ((radiance[p] + DARK) / (lit[p] + DARK)).ln();
-    pairs.iter().map(|&[p, q]| albedo(p) - albedo(q)).collect()
+    let albedo = radiance.iter().zip(lit);
+    let albedo: Vec<f64> = albedo
+        .map(|(radiance, lit)| ((radiance + DARK) / (lit + DARK)).ln())
+        .collect();
+    pairs.iter().map(|&[p, q]| albedo[p] - albedo[q]).collect()
 }
 
 /// Their sizes.

@@ -30,6 +30,8 @@ pub struct Receivers<'a> {
 pub struct Region {
     /// The node of it that stands for each of the grid's.
     places: Vec<Option<u32>>,
+    /// All nodes of the grid, see [`Ellipse::nearest_first`].
+    nearest_first: Vec<u32>,
     /// Irradiance of each point by a unit flux of each node: blocks of points, in these the nodes one after the other.
     blocks: Vec<Vec<f32>>,
     /// The numbers of both.
@@ -86,16 +88,17 @@ impl Region {
         };
         Self {
             places,
+            nearest_first: shape.nearest_first(grid),
             blocks: points.par_chunks(POINTS_AT_ONCE).map(block).collect(),
             points: points.len(),
             nodes: nodes.len(),
         }
     }
 
-    /// Flux of each of its nodes by a disc; what of that lies outside is dark.
+    /// Flux of each of its nodes by a disc, the one that it is about or a changed one; what of that lies outside is dark.
     pub fn flux(&self, shape: &Ellipse, grid: &HemisphereGrid) -> Vec<f64> {
         let mut flux = vec![0.0; self.nodes];
-        for (node, radiance) in shape.nodes(grid) {
+        for (node, radiance) in shape.nodes_among(grid, &self.nearest_first) {
             if let Some(place) = self.places[node] {
                 flux[place as usize] += f64::from(radiance[0] * grid.solid_angle);
             }
