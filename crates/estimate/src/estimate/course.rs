@@ -15,7 +15,7 @@ use super::shading::{Agreement, LightByShading};
 use super::state::State;
 use super::suspects::{Suspicion, better_lobe, left};
 use super::{
-    broad_light, diagnose, exposures, has_metal, soft_gloss, sparse_gloss, stated_gloss, strengths,
+    broad_light, diagnose, exposures, has_metal, soft_gloss, sparse_gloss, strengths, under_shading,
 };
 use glam::Vec3;
 use rekindle_base::math::ranks::{SURE, signed_ranks};
@@ -80,8 +80,10 @@ pub enum Grounds {
     FewParts,
     /// Who stated its roughness: the lights are those that explain most at that.
     Stated,
-    /// The same, under the light by shading. See [`stated_gloss`].
+    /// The same, under the light by shading. See [`under_shading`].
     StatedUnderShading,
+    /// The photographs, and light by shading explains them nearly as well as lights of their own. See [`under_shading`].
+    Shading,
     /// The photographs, but only under light that is broad. See [`soft_gloss`].
     BroadLight,
 }
@@ -138,7 +140,8 @@ fn is_open(ending: &Ending) -> bool {
 /// What lights and shading say. Where no gloss shows under light from anywhere, or what is found is to be doubted and has
 /// light from elsewhere, it is looked for under light from where the shading says: few lights can stand there for what is left out, so that
 /// faint gloss, or on few parts, is more than these explain. What is found so has to be sound, and to make the albedo no less even than the
-/// light by shading does. Where there is gloss only because its roughness was stated, its light is what the shading says.
+/// light by shading does. Where there is gloss only because its roughness was stated, its light is what the shading says, and so it is where
+/// lights of their own explain views hardly better and the texture worse.
 fn with_shading(
     solver: &Solver<'_>,
     rules: Rules,
@@ -167,8 +170,12 @@ fn with_shading(
     let reason = match outcome {
         Outcome::Nothing(reason, _) => reason,
         Outcome::Found(ending) if ending.grounds == Grounds::Stated => {
-            let stated = stated_gloss::under_shading(solver, &light, rules.choice, watch)?;
+            let stated = under_shading::stated(solver, &light, rules.choice, watch)?;
             return Ok(Outcome::Found(stated.map_or(ending, Box::new)));
+        }
+        Outcome::Found(ending) if is_elsewhere => {
+            let bettered = under_shading::bettered(solver, &ending, &light, rules.choice, watch)?;
+            return Ok(Outcome::Found(bettered.map_or(ending, Box::new)));
         }
         _ => return Ok(outcome),
     };

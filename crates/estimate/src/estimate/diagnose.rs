@@ -118,6 +118,10 @@ const STATED_UNDER_SHADING: &str = "That the surface is glossy was stated; under
     lighting was taken from the shading, as if the texture were even, and the gloss is as strong as the photographs allow under it, but not \
     below the 1 % that any glossy surface reflects. Lights may be wider than they were.";
 
+/// What is said where the light is what the shading says, and the gloss bears that out.
+const UNDER_SHADING: &str = "The gloss is faint and wide: lights that explain it alone make the texture less even, and the lighting that makes it \
+    even explains the gloss nearly as well. So the lighting was taken from the shading. Lights may be wider than they were.";
+
 /// What is said where the light is what the shading says.
 pub const BY_SHADING: &str = "The lighting was taken from the shading alone, as if the texture were even: it is white on the \
     whole, and its strength is open. Lights may be wider and weaker or stronger than they were.";
@@ -142,6 +146,7 @@ pub fn grounds(grounds: Grounds) -> Option<&'static str> {
         Grounds::FewParts => Some(STRENGTHS_BY_SHADING),
         Grounds::Stated => Some(STATED),
         Grounds::StatedUnderShading => Some(STATED_UNDER_SHADING),
+        Grounds::Shading => Some(UNDER_SHADING),
         Grounds::BroadLight => Some(UNDER_BROAD_LIGHT),
     }
 }

@@ -34,14 +34,14 @@ mod soft_gloss;
 mod sparse_gloss;
 mod spread;
 mod state;
-mod stated_gloss;
 mod strengths;
 mod support;
 mod suspects;
 mod tints;
 mod total_variation;
 mod turntable;
-pub mod visibility;
+pub mod under_shading;
+mod visibility;
 mod weights;
 pub mod workspace;
 

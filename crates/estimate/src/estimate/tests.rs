@@ -279,31 +279,74 @@ fn a_matte_object_has_no_soft_gloss_however_it_is_exposed() {
 #[test]
 fn lights_that_explain_highlights_are_not_given_up_for_broad_light() {
     with_solver(&load(), |solver| {
-        let mut watch = Watch {
-            iterations: &mut Vec::new(),
-            observer: &mut Unobserved,
-        };
-        let rules = Rules {
-            choice: SpecularChoice::Auto,
-            exposures: None,
-        };
-        let Outcome::Found(ending) = course::run(solver, rules, &mut watch).unwrap() else {
-            panic!("two lamps are found");
-        };
-        let bettered = soft_gloss::bettered(solver, &ending, SpecularChoice::Auto, &mut watch);
-        assert!(bettered.unwrap().is_none());
+        let ending = found_by_course(solver);
+        assert!(bettered_by_sky(solver, &ending).is_none());
         // What is not where any light is does worse.
-        let mut elsewhere = ending.fit.nodes.clone();
-        elsewhere.reverse();
-        let wrong = Ending {
-            fit: Fit {
-                nodes: elsewhere,
-                ..ending.fit
-            },
-            ..*ending
+        let wrong = lit_from_elsewhere(ending);
+        assert!(bettered_by_sky(solver, &wrong).is_some());
+    });
+}
+
+/// What the default method finds.
+fn found_by_course(solver: &Solver<'_>) -> Ending {
+    let mut watch = Watch {
+        iterations: &mut Vec::new(),
+        observer: &mut Unobserved,
+    };
+    let rules = Rules {
+        choice: SpecularChoice::Auto,
+        exposures: None,
+    };
+    match course::run(solver, rules, &mut watch).unwrap() {
+        Outcome::Found(ending) => *ending,
+        _ => panic!("lights are found"),
+    }
+}
+
+fn bettered_by_sky(solver: &Solver<'_>, ending: &Ending) -> Option<Ending> {
+    let mut watch = Watch {
+        iterations: &mut Vec::new(),
+        observer: &mut Unobserved,
+    };
+    soft_gloss::bettered(solver, ending, SpecularChoice::Auto, &mut watch).unwrap()
+}
+
+/// The same with as many lights, none of them where one is.
+fn lit_from_elsewhere(ending: Ending) -> Ending {
+    let mut nodes = ending.fit.nodes;
+    nodes.reverse();
+    Ending {
+        fit: Fit {
+            nodes,
+            ..ending.fit
+        },
+        ..ending
+    }
+}
+
+#[test]
+fn light_by_shading_takes_the_place_of_lights_that_explain_gloss_no_better_and_make_the_texture_less_even()
+ {
+    with_solver(&load(), |solver| {
+        let ending = found_by_course(solver);
+        let light = LightByShading::of(solver).expect("two lamps shade");
+        let choice = SpecularChoice::Auto;
+        let bettered = |ending: &Ending| {
+            let mut watch = Watch {
+                iterations: &mut Vec::new(),
+                observer: &mut Unobserved,
+            };
+            under_shading::bettered(solver, ending, &light, choice, &mut watch).unwrap()
         };
-        let bettered = soft_gloss::bettered(solver, &wrong, SpecularChoice::Auto, &mut watch);
-        assert!(bettered.unwrap().is_some());
+        assert!(bettered(&ending).is_none());
+        let wrong = lit_from_elsewhere(ending);
+        let right = bettered(&wrong).expect("the shading's");
+        assert_eq!(right.grounds, Grounds::Shading);
+        is_a_multiple(&right.fit.nodes, light.nodes());
+        // No interval where the roughness is taken from one of two explanations without what the other has.
+        let [low, high] = interval(&right.fit, right.allowed, None);
+        let own = wrong.fit.brdf.sigma;
+        assert!(low <= own && own <= high, "{low} to {high} for {own}");
     });
 }
 
@@ -316,17 +359,7 @@ fn a_sun_that_was_found_gets_the_sky_beside_it() {
     let of_sky = |l: Vec3| 0.1 + 2.0 * l.dot(blue).max(0.0).powi(8);
     let sky = |l: Vec3| if shines(l) { 30.0 } else { of_sky(l) };
     with_solver(&under_sky(&brdf, sky), |solver| {
-        let mut watch = Watch {
-            iterations: &mut Vec::new(),
-            observer: &mut Unobserved,
-        };
-        let rules = Rules {
-            choice: SpecularChoice::Auto,
-            exposures: None,
-        };
-        let Outcome::Found(ending) = course::run(solver, rules, &mut watch).unwrap() else {
-            panic!("the sun is found");
-        };
+        let ending = found_by_course(solver);
         let only_sun = solver
             .grid
             .directions
@@ -342,10 +375,9 @@ fn a_sun_that_was_found_gets_the_sky_beside_it() {
                 ..ending.fit
             },
             refined: None,
-            ..*ending
+            ..ending
         };
-        let bettered = soft_gloss::bettered(solver, &found, SpecularChoice::Auto, &mut watch);
-        let bettered = bettered.unwrap().expect("a sky");
+        let bettered = bettered_by_sky(solver, &found).expect("a sky");
         assert_eq!(bettered.grounds, found.grounds);
         let sigma = bettered.fit.brdf.sigma;
         assert!((sigma / brdf.sigma).ln().abs() < 0.2, "{sigma}");
@@ -745,7 +777,7 @@ fn is_a_multiple(own: &[[f32; 3]], others: &[[f32; 3]]) {
 
 #[test]
 fn a_stated_gloss_is_as_strong_as_views_allow_under_the_light_by_shading() {
-    let under_shading = |capture: &Capture| {
+    let of_capture = |capture: &Capture| {
         with_solver(capture, |solver| {
             let stated = Solver {
                 sigma: Some(0.085),
@@ -759,12 +791,12 @@ fn a_stated_gloss_is_as_strong_as_views_allow_under_the_light_by_shading() {
                 observer: &mut Unobserved,
             };
             let choice = SpecularChoice::Model(SpecularModel::Paper);
-            let found = stated_gloss::under_shading(&stated, &light, choice, &mut watch).unwrap();
+            let found = under_shading::stated(&stated, &light, choice, &mut watch).unwrap();
             found.map(|ending| (ending, light.nodes().to_vec()))
         })
     };
     // The roughness of spot_paper's truth.json.
-    let (glossy, by_shading) = under_shading(&load()).expect("a lobe");
+    let (glossy, by_shading) = of_capture(&load()).expect("a lobe");
     assert_eq!(glossy.fit.brdf.sigma, 0.085);
     assert_eq!(glossy.grounds, Grounds::StatedUnderShading);
     is_a_multiple(&glossy.fit.nodes, &by_shading);
@@ -772,7 +804,7 @@ fn a_stated_gloss_is_as_strong_as_views_allow_under_the_light_by_shading() {
         let green = |nodes: &[[f32; 3]]| nodes.iter().map(|l| l[1]).sum::<f32>();
         8.0 * PI * 0.085 * 0.085 * green(&ending.fit.nodes) / green(by_shading)
     };
-    let (matt, by_shading_of_matt) = under_shading(&matte()).expect("a lobe");
+    let (matt, by_shading_of_matt) = of_capture(&matte()).expect("a lobe");
     let least = reflectance(&matt, &by_shading_of_matt);
     assert!((least - 0.01).abs() < 1e-4, "{least}");
     assert!(reflectance(&glossy, &by_shading) > 3.0 * least);

@@ -176,6 +176,17 @@ impl LightByShading {
         grid: &HemisphereGrid,
         nodes: &[[f32; 3]],
     ) -> bool {
+        self.less_even_under(solver, grid, nodes) <= 0.0
+    }
+
+    /// In how many more parts of the surface other lights make neighbouring albedos differ by more than this one does than by less: standard
+    /// deviations of what chance would make of it.
+    pub fn less_even_under(
+        &self,
+        solver: &Solver<'_>,
+        grid: &HemisphereGrid,
+        nodes: &[[f32; 3]],
+    ) -> f64 {
         let observations = solver.colours(POINTS).measured();
         let pairs = pairs(&observations.points);
         let gray = |radiance: &[[f32; 3]]| -> Vec<f64> {
@@ -200,7 +211,7 @@ impl LightByShading {
         let placed: Vec<_> = (places.zip(other).zip(own))
             .map(|((at, other), own)| (at, other, own))
             .collect();
-        placed_signed_ranks(&placed) <= 0.0
+        placed_signed_ranks(&placed)
     }
 
     /// Directions of the cells that are lit.
