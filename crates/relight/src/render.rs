@@ -395,10 +395,10 @@ impl Tile<'_> {
                     if let Some(&mirrored) = mirrored.get(index) {
                         shade.specular += self.reflected(piece, main, mirrored);
                     }
-                    let shared = sky.get(index).copied().flatten();
                     let is_main = std::ptr::eq(piece, &raw const pieces[index][0]);
-                    shade.specular +=
-                        (shared.filter(|_| is_main)).unwrap_or_else(|| self.of_sky(piece, index));
+                    let shared = sky.get(index).copied().flatten().filter(|_| is_main);
+                    let own = || self.of_sky(piece, self.draw(piece, index));
+                    shade.specular += shared.unwrap_or_else(own);
                     self.add(&mut pixel, samples, &shade, piece, diffuse);
                 };
                 let seen = &visibility[index * groups..(index + 1) * groups];
@@ -560,7 +560,13 @@ impl Tile<'_> {
             return;
         }
         if let Some(joined) = self.joined(&block, pieces, side) {
-            let radiance = self.of_sky(&joined, (y * width / side + x) / side);
+            // Four half vectors a pixel.
+            let draw = if side == BLOCK {
+                Draw::Whole
+            } else {
+                Draw::Few((y * width / side + x) / side)
+            };
+            let radiance = self.of_sky(&joined, draw);
             for i in block {
                 shared[i] = Some(radiance);
             }
@@ -585,8 +591,7 @@ impl Tile<'_> {
         let normal: Vec3 = points().map(|point| point.normal).sum();
         let normal = normal.normalize_or(middle.point.normal);
         let thickness = side as f32 * self.footprint * position.distance(self.eye);
-        let is_metal = (self.scene.brdf).is_some_and(|brdf| brdf.at(gloss).is_metal());
-        let is_smooth = !is_metal
+        let is_smooth = !self.is_metal(middle)
             && points().all(|point| {
                 let height = (point.position - position).dot(face_normal).abs();
                 point.normal.dot(normal) > self.piece_cos()
@@ -602,8 +607,8 @@ impl Tile<'_> {
         })
     }
 
-    /// What a piece of a pixel mirrors of an environment's sky. A texture is the mean of many pixels; of a metal all that they show is this.
-    fn of_sky(&self, piece: &Piece, pixel: usize) -> Vec3 {
+    /// What a piece mirrors of an environment's sky.
+    fn of_sky(&self, piece: &Piece, draw: Draw) -> Vec3 {
         if !self.shader.shows_sky() {
             return Vec3::ZERO;
         }
@@ -614,16 +619,23 @@ impl Tile<'_> {
         } = piece.sample;
         let is_sheltered = (self.scene.surroundings)
             .is_none_or(|s| s.is_sheltered(self.scene.mesh, triangle, barycentric));
-        let gloss = piece.point.gloss;
-        let is_metal = (self.scene.brdf).is_some_and(|brdf| brdf.at(gloss).is_metal());
-        let draw = if self.triangles.is_some() && !is_metal {
-            Draw::Few(pixel)
-        } else {
-            Draw::Whole
-        };
         let view = self.view(&piece.point);
         self.shader
             .specular_of_sky(&piece.point, view, is_sheltered, draw)
+    }
+
+    /// How closely a pixel's piece is looked at. A texture is the mean of many pixels; of a metal all that they show is this.
+    fn draw(&self, piece: &Piece, pixel: usize) -> Draw {
+        if self.triangles.is_some() && !self.is_metal(piece) {
+            Draw::Few(pixel)
+        } else {
+            Draw::Whole
+        }
+    }
+
+    fn is_metal(&self, piece: &Piece) -> bool {
+        let gloss = piece.point.gloss;
+        (self.scene.brdf).is_some_and(|brdf| brdf.at(gloss).is_metal())
     }
 
     /// Cosine of the largest angle between normals that mirror much the same: the mirrored direction turns by twice that
@@ -881,5 +893,70 @@ fn bits(count: usize) -> u64 {
         u64::MAX
     } else {
         (1 << count) - 1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec3, Quat};
+
+    use super::*;
+    use crate::{LatLong, Lighting};
+    use rekindle_scene::reflectance::SpecularModel;
+    use rekindle_scene::surface::fixtures::{bumpy_sphere, camera};
+
+    #[test]
+    fn a_texture_is_told_of_a_sky_what_a_picture_shows() {
+        const SIDE: u32 = 128;
+        let mesh = bumpy_sphere(60, 0.05);
+        let occluder = Occluder::new(&mesh);
+        let window = Vec3::new(0.5, 0.4, 0.7).normalize_or_zero();
+        let of_sky = |d: Vec3| Vec3::splat(0.2 + 2.0 * d.dot(window).max(0.0).powi(20));
+        let lighting = Lighting {
+            environment: LatLong::of(128, of_sky).environment(Quat::IDENTITY, Vec3::ONE),
+            ..Lighting::of(Vec::new())
+        };
+        let brdf = Some(Brdf::new(SpecularModel::Ggx, 0.1));
+        let shader = Shader::new(&occluder, brdf, &lighting);
+        let atlas = Atlas::lattice(&mesh, &vec![4.0; mesh.triangles.len()]);
+        let seen = TriangleShares::new(&mesh, &atlas, &shader);
+        let scene = Scene {
+            mesh: &mesh,
+            occluder: &occluder,
+            brdf,
+            gloss: None,
+            surroundings: None,
+        };
+        let camera = camera(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, SIDE, SIDE, 200.0);
+        let picture = render(&scene, &camera, &shader, Diffuse::Absent);
+        let rows = 0..SIDE as usize;
+        let samples = Samples::trace(&mesh, &occluder, &camera, rows, 1, &|_, _| true, &|| false);
+        // Of what eight times eight pixels show, where all see the object.
+        let mut squares = [0.0_f32; 2];
+        let mut pixel_by_pixel = true;
+        let tile =
+            |corner: [usize; 2], size: [usize; 2], pixels: &[Vec3]| (corner, size, pixels.to_vec());
+        for ([x, y], [width, height], pixels) in
+            specular_tiles(&scene, &camera, &shader, &seen, &samples, tile)
+        {
+            let shown = |i: usize| (y + i / width) * SIDE as usize + x + i % width;
+            pixel_by_pixel &= pixels
+                .windows(2)
+                .all(|two| two[0] != two[1] || two[0] == Vec3::ZERO);
+            for block in 0..(width / 8) * (height / 8) {
+                let first = block / (width / 8) * 8 * width + block % (width / 8) * 8;
+                let block = (0..64).map(|k| first + k / 8 * width + k % 8);
+                if block.clone().any(|i| picture.coverage[shown(i)] < 1.0) {
+                    continue;
+                }
+                let told: f32 = block.clone().map(|i| pixels[i].x).sum();
+                let expected: f32 = block.map(|i| picture.specular[shown(i)][0]).sum();
+                squares[0] += (told - expected).powi(2);
+                squares[1] += expected.powi(2);
+            }
+        }
+        assert!(!pixel_by_pixel, "no block is looked at together");
+        let off = (squares[0] / squares[1]).sqrt();
+        assert!(off < 0.03, "off by {off}");
     }
 }

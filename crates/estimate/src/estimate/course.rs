@@ -773,11 +773,13 @@ fn resolved<'s>(
     if !is_narrow || choice != SpecularChoice::Auto || watch.observer.enough() {
         return Ok(None);
     }
-    chosen_on_split(solver, coarse, watch).map(Some)
+    let (state, Chosen { because, .. }) = chosen_on_split(solver, coarse, watch)?;
+    Ok(Some((state, because)))
 }
 
 /// The fit, or that of the lobe that leaves least where a coarse fit's lights are split once, with the reason in words, if the fit is doubted
-/// and that one is not: coarse cells take a lobe's tail for what they blur.
+/// and that one is not: coarse cells take a lobe's tail for what they blur. Where views left out say that there is no diffuse part, a metal's
+/// fit is taken though it is doubted as well.
 fn explaining_all(
     solver: &Solver<'_>,
     fit: Fit,
@@ -791,15 +793,16 @@ fn explaining_all(
     if !is_free || !diagnose::leaves_misfit(&fit.misfit) || watch.observer.enough() {
         return Ok((fit, None));
     }
-    let (start, because) = chosen_on_split(solver, coarse, watch)?;
+    let (start, chosen) = chosen_on_split(solver, coarse, watch)?;
     if start.brdf.model == fit.brdf.model {
         return Ok((fit, None));
     }
     let other = finish(solver, &start, watch)?;
-    Ok(if diagnose::leaves_misfit(&other.misfit) {
+    let is_metal = other.brdf.model == SpecularModel::Metal && chosen.is_told;
+    Ok(if diagnose::leaves_misfit(&other.misfit) && !is_metal {
         (fit, None)
     } else {
-        (other, Some(because))
+        (other, Some(chosen.because))
     })
 }
 
@@ -808,17 +811,17 @@ fn chosen_on_split<'s>(
     solver: &'s Solver<'_>,
     coarse: &State<'s>,
     watch: &mut Watch<'_>,
-) -> Result<(State<'s>, String), Stopped> {
-    let (brdf, because) = on_split_with_all(solver, coarse, watch, |states, watch| {
+) -> Result<(State<'s>, Chosen), Stopped> {
+    let (brdf, chosen) = on_split_with_all(solver, coarse, watch, |states, watch| {
         let mut tried: Vec<(f64, &State<'_>)> =
             states.iter().map(|s| (s.unexplained(), s)).collect();
         tried.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (chosen, because) = chosen(solver, &tried, watch)?;
-        Ok((tried[chosen].1.brdf, because))
+        let chosen = chosen(solver, &tried, watch)?;
+        Ok((tried[chosen.index].1.brdf, chosen))
     })?;
     let mut state = coarse.clone();
     state.brdf = brdf;
-    Ok((state, because))
+    Ok((state, chosen))
 }
 
 /// The lobe that explains more than the one asked for, if there is one.
@@ -885,34 +888,46 @@ pub fn choose_near<'s>(
         .iter()
         .map(|fit| (fit.unexplained, &fit.state))
         .collect();
-    let (chosen, because) = chosen(solver, &tried, watch)?;
-    Ok((fits.swap_remove(chosen), because))
+    let Chosen { index, because, .. } = chosen(solver, &tried, watch)?;
+    Ok((fits.swap_remove(index), because))
 }
 
-/// Which lobe is chosen, of states with what they leave, the least first, and why: the first, unless a metal is among those that leave about
-/// as much and there is a diffuse part, or none.
+/// Which lobe is chosen.
+struct Chosen {
+    index: usize,
+    /// Why, in words.
+    because: String,
+    /// Whether views left out say so, and not only what is left.
+    is_told: bool,
+}
+
+/// Which lobe is chosen, of states with what they leave, the least first: the first, unless a metal is among those that leave about as much
+/// and there is a diffuse part, or none.
 fn chosen(
     solver: &Solver<'_>,
     tried: &[(f64, &State<'_>)],
     watch: &mut Watch<'_>,
-) -> Result<(usize, String), Stopped> {
+) -> Result<Chosen, Stopped> {
     let most = CLEARLY_LESS * tried[0].0;
     let close = tried.partition_point(|(left, _)| *left <= most);
     let close: Vec<&State<'_>> = tried[..close].iter().map(|(_, state)| *state).collect();
-    if let Some(chosen) = by_diffuse_part(solver, &close, watch)? {
-        return Ok(chosen);
-    }
-    let because = diagnose::chosen([0, 1].map(|k| (tried[k].0, tried[k].1.brdf.model)));
-    Ok((0, because))
+    let told = by_diffuse_part(solver, &close, watch)?;
+    let is_told = told.is_some();
+    let other = told.filter(|told| told.index != 0);
+    Ok(other.unwrap_or_else(|| Chosen {
+        index: 0,
+        because: diagnose::chosen([0, 1].map(|k| (tried[k].0, tried[k].1.brdf.model))),
+        is_told,
+    }))
 }
 
-/// Of a metal and others that leave about as much the one that views left out bear out by whether there is a diffuse part, if that is not the
-/// first, and why. In a room next to nothing else tells them apart.
+/// Of a metal and others that leave about as much the one that views left out bear out by whether there is a diffuse part, if they do one.
+/// In a room next to nothing else tells them apart.
 fn by_diffuse_part(
     solver: &Solver<'_>,
     tried: &[&State<'_>],
     watch: &mut Watch<'_>,
-) -> Result<Option<(usize, String)>, Stopped> {
+) -> Result<Option<Chosen>, Stopped> {
     let is_metal = |state: &&State<'_>| state.brdf.model == SpecularModel::Metal;
     let metal = tried.iter().position(is_metal);
     let other = tried.iter().position(|state| !is_metal(state));
@@ -926,13 +941,16 @@ fn by_diffuse_part(
     }
     go_on(watch.observer.progress("looking for a diffuse part", 0.15))?;
     let deviations = broad_light::against_colours(solver, tried[metal], |_| true)?;
-    let (chosen, because) = if deviations > SURE {
+    let (index, because) = if deviations > SURE {
         (metal, diagnose::MIRRORS_ALL)
     } else {
         (other, diagnose::HAS_DIFFUSE_PART)
     };
-    let is_told = deviations.abs() > SURE && chosen != 0;
-    Ok(is_told.then(|| (chosen, because.to_owned())))
+    Ok((deviations.abs() > SURE).then(|| Chosen {
+        index,
+        because: because.to_owned(),
+        is_told: true,
+    }))
 }
 
 /// The coarse fit of a model.

@@ -40,8 +40,8 @@ mod suspects;
 mod tints;
 mod total_variation;
 mod turntable;
-pub mod under_shading;
-mod visibility;
+mod under_shading;
+pub mod visibility;
 mod weights;
 pub mod workspace;
 
