@@ -81,6 +81,11 @@ impl Scene<'_> {
         let gloss = self
             .gloss
             .map_or(Gloss::MAIN, |map| map.texture.texels()[texel]);
+        self.is_metal_of(gloss)
+    }
+
+    /// Whether the surface is a metal where it has this gloss.
+    fn is_metal_of(&self, gloss: Gloss) -> bool {
         self.brdf.is_some_and(|brdf| brdf.at(gloss).is_metal())
     }
 
@@ -591,7 +596,7 @@ impl Tile<'_> {
         let normal: Vec3 = points().map(|point| point.normal).sum();
         let normal = normal.normalize_or(middle.point.normal);
         let thickness = side as f32 * self.footprint * position.distance(self.eye);
-        let is_smooth = !self.is_metal(middle)
+        let is_smooth = !self.scene.is_metal_of(gloss)
             && points().all(|point| {
                 let height = (point.position - position).dot(face_normal).abs();
                 point.normal.dot(normal) > self.piece_cos()
@@ -626,16 +631,11 @@ impl Tile<'_> {
 
     /// How closely a pixel's piece is looked at. A texture is the mean of many pixels; of a metal all that they show is this.
     fn draw(&self, piece: &Piece, pixel: usize) -> Draw {
-        if self.triangles.is_some() && !self.is_metal(piece) {
+        if self.triangles.is_some() && !self.scene.is_metal_of(piece.point.gloss) {
             Draw::Few(pixel)
         } else {
             Draw::Whole
         }
-    }
-
-    fn is_metal(&self, piece: &Piece) -> bool {
-        let gloss = piece.point.gloss;
-        (self.scene.brdf).is_some_and(|brdf| brdf.at(gloss).is_metal())
     }
 
     /// Cosine of the largest angle between normals that mirror much the same: the mirrored direction turns by twice that

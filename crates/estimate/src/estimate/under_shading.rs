@@ -52,8 +52,8 @@ pub fn bettered(
     choice: SpecularChoice,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Ending>, Stopped> {
-    let less_even = light.less_even_under(solver, &ending.grid, &ending.fit.nodes);
-    if less_even <= CHANCE || watch.observer.enough() {
+    let less_even = || light.less_even_under(solver, &ending.grid, &ending.fit.nodes);
+    if watch.observer.enough() || less_even() <= CHANCE {
         return Ok(None);
     }
     let Some(found) = under(solver, light, choice, watch)? else {
