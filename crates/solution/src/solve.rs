@@ -681,9 +681,12 @@ impl Measured {
                 correction.with_gains([0, 1, 2].map(|c| before[c] * gains[c]))
             });
             let own: Vec<Correction> = own.collect();
-            let capture = corrected(stated, &own);
-            let left = left_of_others(&self.input(&capture, grid), params, Some(brdf), observer)?;
-            if bears_out(&left, &best.0) {
+            // Under one lobe: another, or finer nodes, would be compared as well.
+            let mut left = |corrections: &[Correction]| {
+                let capture = corrected(stated, corrections);
+                left_of_others(&self.input(&capture, grid), params, Some(brdf), observer)
+            };
+            if bears_out(&left(&own)?, &left(&best.1)?) {
                 best.1 = own;
             }
         }

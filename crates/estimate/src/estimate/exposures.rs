@@ -5,7 +5,7 @@
 //! one least-squares problem with one unknown a view, whose sum is zero.
 
 use faer::linalg::solvers::Solve;
-use faer::{Col, Mat};
+use faer::{Col, Mat, Side};
 use rayon::prelude::*;
 
 use std::ops::Range;
@@ -14,7 +14,7 @@ use super::cells::Cell;
 use super::design::Design;
 use super::fast::Solver;
 use super::observations::{Point, Row};
-use super::state::{ROUGH, State};
+use super::state::{CLUSTERS, ROUGH, State};
 use super::weights::transmitted_share;
 use rekindle_base::math::{centred, median};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
@@ -29,6 +29,9 @@ const MOST_SPECULAR: f32 = 0.1;
 const TURNS: usize = 4;
 const SIGMAS: [f32; 3] = [0.13, 0.08, 0.05];
 const MOST_AT_ONCE: f64 = 0.3;
+/// By how much exposures and channels beside one another differ in photographs of one series, as a standard deviation of their logarithms.
+const EXPOSURE: f64 = 0.5;
+const BALANCE: f64 = 0.1;
 /// Every view has to have this many rows.
 const ENOUGH: usize = 50;
 /// Exposures must account for this part of what is left over: where the model of light is not the object's, they take up some
@@ -124,13 +127,13 @@ fn taken_in_turns(
         }
         state.solve_lights(ROUGH);
         left = state.unexplained();
-        let all: Vec<&Point> = evened.points.iter().collect();
-        for channel in 0..3 {
-            let (excess, ..) = excess(&state, gains.len(), &all, channel..channel + 1)?;
-            for (gain, excess) in gains.iter_mut().zip(excess) {
-                gain[channel] *= 1.0 + excess.clamp(-MOST_AT_ONCE, MOST_AT_ONCE);
+        let excess = excess_beside_lights(&state, gains)?;
+        for (gain, excess) in gains.iter_mut().zip(excess) {
+            for (gain, excess) in gain.iter_mut().zip(excess) {
+                *gain *= excess.clamp(-MOST_AT_ONCE, MOST_AT_ONCE).exp();
             }
         }
+        if std::env::var_os("DBG").is_some() { eprintln!("DBG {:?} {:.3} turn {turn} left {left:.5} {:?}", brdf.model, brdf.sigma, gains.iter().map(|g| (g[1]*1000.0).round()/1000.0).collect::<Vec<_>>()); }
         radiance = state.radiance;
     }
     Some(left)
@@ -143,6 +146,86 @@ fn is_diffuse(state: &State<'_>, point: &Point) -> bool {
         let all: f32 = state.design.observations.rows[k].radiance.iter().sum();
         specular <= MOST_SPECULAR * all
     })
+}
+
+/// By how much, as logarithms, each view is still brighter in each channel, RGB, than the others and `gains` say, where lights follow it:
+/// what they and the diffuse colours can imitate of a view's brightness is taken out of it first (variable projection, as of σ in
+/// [`State::sigma_step`]). What no light tells is held by what cameras do, see [`EXPOSURE`] and [`BALANCE`].
+fn excess_beside_lights(state: &State<'_>, gains: &[[f64; 3]]) -> Option<Vec<[f64; 3]>> {
+    let views = gains.len();
+    let rows = &state.design.observations.rows;
+    let residuals = &state.residuals.values;
+    let mut counts = vec![0; views];
+    for row in rows {
+        counts[row.view] += 1;
+    }
+    if counts.iter().any(|&count| count < ENOUGH) {
+        return None;
+    }
+    let own = |view: usize| {
+        let shown = rows.iter().zip(residuals).map(|(row, left)| {
+            let kept = if row.view == view { 1.0 } else { 0.0 };
+            std::array::from_fn(|c| kept * (row.radiance[c] - left[c]))
+        });
+        state.unexplained_part(shown.collect())
+    };
+    let columns: Vec<Vec<[f32; 3]>> = (0..views).into_par_iter().map(own).collect();
+    // Unknowns are channel by channel, each view by view.
+    let (of_exposure, of_balance) = (EXPOSURE.powi(-2), BALANCE.powi(-2));
+    let mut gram = Mat::<f64>::zeros(3 * views, 3 * views);
+    let mut right = vec![0.0; 3 * views];
+    for channel in 0..3 {
+        let (own, pull, dispersion) = told(state, &columns, channel);
+        for i in 0..views {
+            let at = channel * views + i;
+            right[at] += pull[i] / dispersion;
+            for j in 0..views {
+                gram[(at, channel * views + j)] += own[(i, j)] / dispersion;
+            }
+            // (1/3 Σ g)² of a view's three logarithms is held to 0, and each less that mean.
+            for other in 0..3 {
+                let same = if other == channel { 1.0 } else { 0.0 };
+                let held = of_exposure / 9.0 + of_balance * (same - 1.0 / 3.0);
+                gram[(at, other * views + i)] += held;
+                right[at] -= held * gains[i][other].ln();
+            }
+        }
+    }
+    let factor = gram.llt(Side::Lower).ok()?;
+    let solution = factor.solve(&Col::from_fn(3 * views, |i| right[i]));
+    Some((0..views).map(|i| [0, 1, 2].map(|c| solution[c * views + i])).collect())
+}
+
+/// What one channel's rows tell of the views' brightness, of which `columns` are what nothing else can imitate: the normal equations,
+/// and by how much what points of like normals say is spread beyond what these count for.
+fn told(
+    state: &State<'_>,
+    columns: &[Vec<[f32; 3]>],
+    channel: usize,
+) -> (Mat<f64>, Vec<f64>, f64) {
+    let views = columns.len();
+    let product = |rows: Range<usize>, one: &[[f32; 3]], other: &[[f32; 3]]| -> f64 {
+        let both = one[rows.clone()].iter().zip(&other[rows.clone()]);
+        (both.zip(&state.weights[rows]))
+            .map(|((a, b), w)| f64::from(w * a[channel] * b[channel]))
+            .sum()
+    };
+    let all = 0..state.weights.len();
+    let gram = Mat::from_fn(views, views, |i, j| {
+        product(all.clone(), &columns[i], &columns[j])
+    });
+    let (mut pull, mut spread) = (vec![0.0; views], 0.0);
+    let points = &state.design.observations.points;
+    for cluster in points.chunks(points.len().div_ceil(CLUSTERS).max(1)) {
+        let rows = cluster[0].rows.start..cluster[cluster.len() - 1].rows.end;
+        for (pull, column) in pull.iter_mut().zip(columns) {
+            let own = product(rows.clone(), column, &state.residuals.values);
+            *pull += own;
+            spread += own * own;
+        }
+    }
+    let counted: f64 = (0..views).map(|i| gram[(i, i)]).sum();
+    (gram, pull, (spread / counted).max(f64::MIN_POSITIVE))
 }
 
 /// The excess a of each view in some channels, as some points say, its standard error, with one group a point, and the part of the

@@ -659,7 +659,7 @@ impl<'a> State<'a> {
     }
 
     /// One RGB value per row, less its weighted projection onto the lit columns and onto each point's diffuse colour.
-    fn unexplained_part(&self, mut unique: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    pub fn unexplained_part(&self, mut unique: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
         self.eliminate(&mut unique);
         let Some(system) = &self.system else {
             return unique;
