@@ -40,7 +40,7 @@ pub struct Design<'a> {
     pub near: Option<(Vec3, f32)>,
     /// Share of each cell that each point sees.
     pub seen: SeenCells,
-    /// Whether the rows' diffuse part has been subtracted already, so that nothing is left to eliminate.
+    /// Whether the rows' diffuse part has been subtracted already, or there is none, so that nothing is left to eliminate.
     pub diffuse_known: bool,
     /// What may be left out.
     pub shortcuts: &'a Shortcuts,

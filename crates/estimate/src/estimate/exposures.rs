@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use std::ops::Range;
 
+use super::below::AllAround;
 use super::cells::Cell;
 use super::design::Design;
 use super::fast::Solver;
@@ -44,7 +45,7 @@ pub fn differing(state: &State<'_>, views: usize, known: bool) -> Option<Vec<f64
     let observations = state.design.observations;
     let points = observations.points.iter();
     let diffuse: Vec<&Point> = points.filter(|point| is_diffuse(state, point)).collect();
-    let (excess, errors, explained) = excess(state, views, &diffuse, 0..3)?;
+    let (excess, errors, explained) = excess(state, views, &diffuse)?;
     let least = if known { LEAST_KNOWN } else { LEAST };
     let differs = |(a, e): (&f64, &f64)| a.abs() > least.max(SURE * e);
     let matters = known || explained > LEAST_EXPLAINED;
@@ -64,18 +65,30 @@ pub fn together(before: &[f64], mut factors: Vec<f64>) -> Vec<f64> {
 /// where some views share too little with others.
 ///
 /// A polished surface shows little that is the same in all views but the lights themselves, and which lobe it has shows once views are
-/// evened: both are sought together, each lobe at roughnesses from the widest on.
+/// evened: both are sought together, each lobe at roughnesses from the widest on. A metal has no diffuse part: all that it shows comes from
+/// somewhere all around, which says more of exposures than what differs between views does.
 pub fn by_lights(solver: &Solver<'_>, models: &[SpecularModel]) -> Option<ByLights> {
     let colours = solver.coarse_colours();
-    let roots = solver.roots();
-    // Shadows would pass for dark views.
-    let shadowed = solver.coarse_design(&colours);
+    let bare = colours.without_diffuse();
+    let around = AllAround::of(solver);
+    let whole = around.solver(solver);
     let of_model = |&model: &SpecularModel| {
+        // Shadows would pass for dark views.
+        let (shadowed, cells) = if model == SpecularModel::Metal {
+            let everywhere = whole.roots_design(&bare, whole.near);
+            let design = Design {
+                diffuse_known: true,
+                ..everywhere
+            };
+            (design, whole.roots())
+        } else {
+            (solver.coarse_design(&colours), solver.roots())
+        };
         let mut best: Option<ByLights> = None;
         let mut gains = vec![[1.0; 3]; solver.seen.views.len()];
         for sigma in SIGMAS {
             let brdf = Brdf::new(model, sigma);
-            let left = taken_in_turns(&shadowed, &roots, brdf, &mut gains)?;
+            let left = taken_in_turns(&shadowed, &cells, brdf, &mut gains)?;
             if best.as_ref().is_none_or(|best| left < best.left) {
                 let gains = gains.clone();
                 best = Some(ByLights { gains, brdf, left });
@@ -84,15 +97,7 @@ pub fn by_lights(solver: &Solver<'_>, models: &[SpecularModel]) -> Option<ByLigh
         best
     };
     let found: Vec<ByLights> = models.par_iter().filter_map(of_model).collect();
-    let mut best = found.into_iter().min_by(|a, b| a.left.total_cmp(&b.left))?;
-    for channel in 0..3 {
-        let mut all: Vec<f64> = best.gains.iter().map(|gain| gain[channel]).collect();
-        let most = median(&mut all)?;
-        for gain in &mut best.gains {
-            gain[channel] /= most;
-        }
-    }
-    Some(best)
+    found.into_iter().min_by(|a, b| a.left.total_cmp(&b.left))
 }
 
 /// Exposures that lights say.
@@ -133,7 +138,7 @@ fn taken_in_turns(
                 *gain *= excess.clamp(-MOST_AT_ONCE, MOST_AT_ONCE).exp();
             }
         }
-        if std::env::var_os("DBG").is_some() { eprintln!("DBG {:?} {:.3} turn {turn} left {left:.5} {:?}", brdf.model, brdf.sigma, gains.iter().map(|g| (g[1]*1000.0).round()/1000.0).collect::<Vec<_>>()); }
+        relate_to_most(gains)?;
         radiance = state.radiance;
     }
     Some(left)
@@ -146,6 +151,18 @@ fn is_diffuse(state: &State<'_>, point: &Point) -> bool {
         let all: f32 = state.design.observations.rows[k].radiance.iter().sum();
         specular <= MOST_SPECULAR * all
     })
+}
+
+/// Takes the scale of each channel to be that of most views, which lights follow.
+fn relate_to_most(gains: &mut [[f64; 3]]) -> Option<()> {
+    for channel in 0..3 {
+        let mut all: Vec<f64> = gains.iter().map(|gain| gain[channel]).collect();
+        let most = median(&mut all)?;
+        for gain in &mut *gains {
+            gain[channel] /= most;
+        }
+    }
+    Some(())
 }
 
 /// By how much, as logarithms, each view is still brighter in each channel, RGB, than the others and `gains` say, where lights follow it:
@@ -193,16 +210,16 @@ fn excess_beside_lights(state: &State<'_>, gains: &[[f64; 3]]) -> Option<Vec<[f6
     }
     let factor = gram.llt(Side::Lower).ok()?;
     let solution = factor.solve(&Col::from_fn(3 * views, |i| right[i]));
-    Some((0..views).map(|i| [0, 1, 2].map(|c| solution[c * views + i])).collect())
+    Some(
+        (0..views)
+            .map(|i| [0, 1, 2].map(|c| solution[c * views + i]))
+            .collect(),
+    )
 }
 
 /// What one channel's rows tell of the views' brightness, of which `columns` are what nothing else can imitate: the normal equations,
 /// and by how much what points of like normals say is spread beyond what these count for.
-fn told(
-    state: &State<'_>,
-    columns: &[Vec<[f32; 3]>],
-    channel: usize,
-) -> (Mat<f64>, Vec<f64>, f64) {
+fn told(state: &State<'_>, columns: &[Vec<[f32; 3]>], channel: usize) -> (Mat<f64>, Vec<f64>, f64) {
     let views = columns.len();
     let product = |rows: Range<usize>, one: &[[f32; 3]], other: &[[f32; 3]]| -> f64 {
         let both = one[rows.clone()].iter().zip(&other[rows.clone()]);
@@ -228,16 +245,11 @@ fn told(
     (gram, pull, (spread / counted).max(f64::MIN_POSITIVE))
 }
 
-/// The excess a of each view in some channels, as some points say, its standard error, with one group a point, and the part of the
+/// The excess a of each view, as some points say, its standard error, with one group a point, and the part of the
 /// weighted squared residuals that goes away with it.
-fn excess(
-    state: &State<'_>,
-    views: usize,
-    points: &[&Point],
-    channels: Range<usize>,
-) -> Option<(Vec<f64>, Vec<f64>, f64)> {
+fn excess(state: &State<'_>, views: usize, points: &[&Point]) -> Option<(Vec<f64>, Vec<f64>, f64)> {
     let inner = |point: &Point, column: &[[f32; 3]], values: &dyn Fn(usize) -> [f32; 3]| {
-        inner(state, (point, channels.clone()), column, values)
+        inner(state, point, column, values)
     };
     let mut counts = vec![0; views];
     let mut gram = Mat::<f64>::zeros(views, views);
@@ -323,10 +335,10 @@ fn columns(state: &State<'_>, point: &Point) -> Vec<(usize, Vec<[f32; 3]>)> {
         .collect()
 }
 
-/// Weighted product of a column and values of a point's rows in some channels.
+/// Weighted product of a column and values of a point's rows.
 fn inner(
     state: &State<'_>,
-    (point, channels): (&Point, Range<usize>),
+    point: &Point,
     column: &[[f32; 3]],
     values: &dyn Fn(usize) -> [f32; 3],
 ) -> f64 {
@@ -336,7 +348,7 @@ fn inner(
         .zip(column)
         .map(|(k, c)| {
             let values = values(k);
-            let product: f32 = channels.clone().map(|i| c[i] * values[i]).sum();
+            let product: f32 = c.iter().zip(values).map(|(c, v)| c * v).sum();
             f64::from(state.weights[k] * product)
         })
         .sum()

@@ -286,6 +286,16 @@ impl Observations {
         measured
     }
 
+    /// The same where no point has a diffuse colour that it could show, as of a metal: there is nothing to eliminate.
+    #[must_use]
+    pub fn without_diffuse(&self) -> Self {
+        let mut bare = self.clone();
+        for row in &mut bare.rows {
+            row.irradiance = 0.0;
+        }
+        bare
+    }
+
     /// Every so many-th point, from that at `first` on.
     #[must_use]
     pub fn every(&self, step: usize, first: usize) -> Self {
