@@ -633,7 +633,7 @@ fn exposures_have_to_be_borne_out_by_lights() {
     });
     for (gains, factor) in found.unwrap().gains.iter().zip(factors) {
         for gain in gains {
-            assert!((gain * factor - 1.0).abs() < 0.04, "{gain} for {factor}");
+            assert!((gain * factor - 1.0).abs() < 0.015, "{gain} for {factor}");
         }
     }
     assert!(is_borne_out([&capture, &other]));
