@@ -17,8 +17,8 @@ use super::{
 use rekindle_base::math::rounding::round_to_halves;
 use rekindle_capture::{Camera, Capture, LightFrame, Mesh, View};
 use rekindle_estimate::estimate::{
-    ByLights, Diagnostics, Estimate, EstimateInput, EstimateParams, GivenLight, Interim, Iteration,
-    Observer, Stopped, bears_out, estimate, estimate_under, gains_by_lights, left_of_others,
+    Diagnostics, Estimate, EstimateInput, EstimateParams, GivenLight, Interim, Iteration, Observer,
+    Stopped, bears_out, estimate, estimate_under, gains_by_lights, left_of_others,
     stands_with_camera, watched,
 };
 use rekindle_estimate::preflight::{Finding, misplacements, why_misplaced};
@@ -659,13 +659,13 @@ impl Measured {
         observer: &mut dyn Observer,
     ) -> Result<Vec<Correction>, Stopped> {
         let of_cameras: Vec<Correction> = evened.iter().map(|c| c.of_camera()).collect();
-        let mut left = |corrections: &[Correction]| {
+        let left = |corrections: &[Correction], observer: &mut dyn Observer| {
             let capture = corrected(stated, corrections);
-            left_of_others(&self.input(&capture, grid), params, None, observer)
+            left_of_others(&self.input(&capture, grid), params, observer)
         };
-        let mut best = (left(&of_cameras)?, of_cameras);
+        let mut best = (left(&of_cameras, observer)?, of_cameras);
         if evened.iter().any(Correction::scales) {
-            let evened = (left(&evened)?, evened);
+            let evened = (left(&evened, observer)?, evened);
             if bears_out(&evened.0, &best.0) {
                 best = evened;
             }
@@ -675,18 +675,13 @@ impl Measured {
         }
         let capture = corrected(stated, &best.1);
         let input = self.input(&capture, grid);
-        if let Some(ByLights { gains, brdf, .. }) = gains_by_lights(&input, params, observer)? {
+        if let Some(gains) = gains_by_lights(&input, params, observer)? {
             let own = best.1.iter().zip(gains).map(|(correction, gains)| {
                 let before = correction.gains();
                 correction.with_gains([0, 1, 2].map(|c| before[c] * gains[c]))
             });
             let own: Vec<Correction> = own.collect();
-            // Under one lobe: another, or finer nodes, would be compared as well.
-            let mut left = |corrections: &[Correction]| {
-                let capture = corrected(stated, corrections);
-                left_of_others(&self.input(&capture, grid), params, Some(brdf), observer)
-            };
-            if bears_out(&left(&own)?, &left(&best.1)?) {
+            if bears_out(&left(&own, observer)?, &best.0) {
                 best.1 = own;
             }
         }

@@ -68,7 +68,6 @@ use alternating::{Order, Terms};
 use cells::Pyramid;
 use course::{Ending, Grounds, Outcome, Rules};
 pub use diagnose::OFF_NORMALS;
-pub use exposures::ByLights;
 use exposures::by_lights;
 use fast::{Fit, Solver, Watch};
 use held_out::relatively_left_out;
@@ -270,18 +269,14 @@ pub fn estimate(
 }
 
 /// What lights found in some views leave of the others, at each of many points and as a part of its radiance: where views are exposed
-/// alike it is less. With a lobe, or with one that fits.
+/// alike it is less.
 pub fn left_of_others(
     input: &EstimateInput<'_>,
     params: &EstimateParams,
-    lobe: Option<Brdf>,
     observer: &mut dyn Observer,
 ) -> Result<Vec<f64>, Stopped> {
     with_reduced(input, params, observer, |solver, watch| {
-        if let Some(lobe) = lobe {
-            return Ok(relatively_left_out(solver, &solver.dark_roots(lobe)));
-        }
-        // Any will do to see whether views agree on lights.
+        // Any lobe will do to see whether views agree on lights.
         let model = match params.specular {
             SpecularChoice::Model(model) => model,
             SpecularChoice::Auto => SpecularModel::Paper,
@@ -297,13 +292,13 @@ pub fn bears_out(evened: &[f64], before: &[f64]) -> bool {
     signed_ranks(before, evened) > SURE
 }
 
-/// How much brighter each view is than most of them in each channel, RGB, as that fits lights best, and the lobe with which it does;
-/// `None` where some views share too little with others.
+/// How much brighter each view is than most of them in each channel, RGB, as that fits lights best; `None`
+/// where some views share too little with others.
 pub fn gains_by_lights(
     input: &EstimateInput<'_>,
     params: &EstimateParams,
     observer: &mut dyn Observer,
-) -> Result<Option<ByLights>, Stopped> {
+) -> Result<Option<Vec<[f64; 3]>>, Stopped> {
     with_reduced(input, params, observer, |solver, _| {
         // One without a diffuse part and one with it.
         let models = [SpecularModel::Metal, SpecularModel::Ggx];

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use faer::linalg::solvers::Solve;
+use faer::linalg::solvers::{Llt, Solve};
 use faer::{Col, Mat, Side};
 use rayon::prelude::*;
 
@@ -659,7 +659,7 @@ impl<'a> State<'a> {
     }
 
     /// One RGB value per row, less its weighted projection onto the lit columns and onto each point's diffuse colour.
-    pub fn unexplained_part(&self, mut unique: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    fn unexplained_part(&self, mut unique: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
         self.eliminate(&mut unique);
         let Some(system) = &self.system else {
             return unique;
@@ -688,6 +688,25 @@ impl<'a> State<'a> {
         }
         self.eliminate(&mut unique);
         unique
+    }
+
+    /// Radiances of some cells with which those that are lit in a channel imitate values best, column by column, whose weighted products
+    /// with the cells' columns are `products`.
+    pub fn imitation(&self, channel: usize, cells: &[usize], products: &Mat<f64>) -> Mat<f64> {
+        let mut imitation = Mat::zeros(products.nrows(), products.ncols());
+        let (at, own): (Vec<usize>, Vec<usize>) = (cells.iter().copied().enumerate())
+            .filter(|&(_, k)| self.radiance[k][channel] > 0.0)
+            .unzip();
+        let factor = self.system.as_ref().and_then(|system| system.factor(&own));
+        if let Some(factor) = factor {
+            let solved = factor.solve(Mat::from_fn(at.len(), products.ncols(), |i, j| {
+                products[(at[i], j)]
+            }));
+            for (i, &row) in at.iter().enumerate() {
+                imitation.row_mut(row).copy_from(solved.row(i));
+            }
+        }
+        imitation
     }
 
     /// Takes the best diffuse colour of each point out of one RGB value per row.
@@ -764,14 +783,19 @@ impl System {
 
     /// Solution of the equations of the cells `own` alone, which are among the columns; nothing where they are singular.
     fn solve(&self, own: &[usize], rhs: &[f64]) -> Vec<f64> {
+        let Some(factor) = self.factor(own) else {
+            return Vec::new();
+        };
+        let x = factor.solve(&Col::from_fn(rhs.len(), |i| rhs[i]));
+        x.iter().copied().collect()
+    }
+
+    /// Factor of the equations of the cells `own` alone, which are among the columns; `None` where they are singular.
+    fn factor(&self, own: &[usize]) -> Option<Llt<f64>> {
         let at: Vec<usize> = own
             .iter()
             .filter_map(|k| self.columns.binary_search(k).ok())
             .collect();
-        let Ok(factor) = self.block(&at).llt(Side::Lower) else {
-            return Vec::new();
-        };
-        let x = factor.solve(&Col::from_fn(at.len(), |i| rhs[i]));
-        x.iter().copied().collect()
+        self.block(&at).llt(Side::Lower).ok()
     }
 }

@@ -619,7 +619,7 @@ fn exposures_have_to_be_borne_out_by_lights() {
         on_grid(&capture, |input| {
             let [evened, stated] = [evened, stated].map(|capture| {
                 let input = EstimateInput { capture, ..*input };
-                left_of_others(&input, &EstimateParams::default(), None, &mut Unobserved).unwrap()
+                left_of_others(&input, &EstimateParams::default(), &mut Unobserved).unwrap()
             });
             bears_out(&evened, &stated)
         })
@@ -631,7 +631,7 @@ fn exposures_have_to_be_borne_out_by_lights() {
         };
         gains_by_lights(&input, &EstimateParams::default(), &mut Unobserved).unwrap()
     });
-    for (gains, factor) in found.unwrap().gains.iter().zip(factors) {
+    for (gains, factor) in found.unwrap().iter().zip(factors) {
         for gain in gains {
             assert!((gain * factor - 1.0).abs() < 0.015, "{gain} for {factor}");
         }
