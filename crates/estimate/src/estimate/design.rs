@@ -348,6 +348,9 @@ impl Design<'_> {
     /// What unit radiance of each cell shows in every row, row by row: the matrix of eq. 7.
     pub fn matrix(&self, brdf: &Brdf) -> Vec<f32> {
         let n = self.cells();
+        if n == 0 {
+            return Vec::new();
+        }
         let lobes = self.lobes(brdf);
         let mut matrix = vec![0.0; self.observations.rows.len() * n];
         let mut rest = matrix.as_mut_slice();

@@ -697,6 +697,9 @@ impl<'a> State<'a> {
         let (at, own): (Vec<usize>, Vec<usize>) = (cells.iter().copied().enumerate())
             .filter(|&(_, k)| self.radiance[k][channel] > 0.0)
             .unzip();
+        if own.is_empty() {
+            return imitation;
+        }
         let factor = self.system.as_ref().and_then(|system| system.factor(&own));
         if let Some(factor) = factor {
             let solved = factor.solve(Mat::from_fn(at.len(), products.ncols(), |i, j| {

@@ -234,14 +234,19 @@ fn uniform_light_on_a_glossy_object_gives_a_bound_of_the_roughness() {
 }
 
 /// What soft gloss is found on a capture whose views are exposed by these factors.
-fn soft_gloss_of(mut capture: Capture, exposures: &[f32]) -> Option<Ending> {
+/// The same with its views exposed differently.
+fn exposed(mut capture: Capture, exposures: &[f32]) -> Capture {
     for (view, exposure) in capture.views.iter_mut().zip(exposures) {
         let radiance = &mut Arc::make_mut(&mut view.photograph).radiance;
         for value in radiance.as_flattened_mut() {
             *value *= exposure;
         }
     }
-    with_solver(&capture, |solver| {
+    capture
+}
+
+fn soft_gloss_of(capture: Capture, exposures: &[f32]) -> Option<Ending> {
+    with_solver(&exposed(capture, exposures), |solver| {
         let mut watch = Watch {
             iterations: &mut Vec::new(),
             observer: &mut Unobserved,
@@ -869,6 +874,29 @@ fn what_is_found_near_light_by_shading_is_taken_only_if_it_is_sound() {
             sought_near(&elsewhere).is_none(),
             "lamps where there are none"
         );
+    });
+}
+
+#[test]
+fn exposures_of_a_matte_object_are_told_too() {
+    let factors = [1.5, 0.8, 1.0, 0.6, 1.3, 0.9];
+    with_solver(&exposed(matte(), &factors), |solver| {
+        let models = [SpecularModel::Metal, SpecularModel::Ggx];
+        let gains = by_lights(solver, &models).expect("views share the surface");
+        for (gain, factor) in gains.iter().zip(factors) {
+            for channel in 0..3 {
+                let off = gain[channel] / gains[0][channel] * f64::from(factors[0] / factor) - 1.0;
+                assert!(off.abs() < 0.04, "{off} of {factor}");
+            }
+        }
+    });
+}
+
+#[test]
+fn no_cells_show_nothing() {
+    with_solver(&load(), |solver| {
+        let dark = solver.dark_roots(Brdf::new(SpecularModel::Ggx, 0.1));
+        assert!(dark.design.restricted(&[]).matrix(&dark.brdf).is_empty());
     });
 }
 

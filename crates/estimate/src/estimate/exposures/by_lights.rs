@@ -262,11 +262,11 @@ impl Sums {
         for (i, row) in rows.iter().enumerate() {
             column.copy_from_slice(of_row(i));
             vector::add_scaled(&mut column, -share[i].1, &mean);
-            for c in 0..3 {
+            for (c, &residual) in left[i].iter().enumerate() {
                 let own = weights[i] * shown(i, c);
-                self.pull[c][row.view] += f64::from(own * left[i][c]);
+                self.pull[c][row.view] += f64::from(own * residual);
                 vector::add_scaled(&mut self.shared[c][row.view], own, &column);
-                vector::add_scaled(&mut self.lights[c], weights[i] * left[i][c], &column);
+                vector::add_scaled(&mut self.lights[c], weights[i] * residual, &column);
                 for (j, other) in rows.iter().enumerate() {
                     let kept = if i == j { 1.0 } else { 0.0 };
                     let product = own * shown(j, c) * (kept - share[j].0 * share[i].1);
