@@ -21,7 +21,7 @@ use crate::worker::{OpenedCapture, Source, Worker};
 use rekindle_capture::{Capture, LightFrame};
 use rekindle_estimate::align::{Alignment, MarkedPoint};
 use rekindle_estimate::estimate::{Method, STATED_ROUGHNESS};
-use rekindle_estimate::preflight::{Finding, Severity, Thumbnail};
+use rekindle_estimate::preflight::{Finding, Severity, Thumbnail, in_groups};
 use rekindle_scene::reflectance::SpecularModel;
 use rekindle_solution::{LightProbe, Solution};
 
@@ -449,26 +449,21 @@ impl CapturePage {
 
     fn findings_ui(&self, ui: &mut egui::Ui) {
         theme::group(ui, "Findings");
-        for finding in &self.opened().report.findings {
-            let is_view = self
-                .opened()
-                .report
-                .views
-                .iter()
-                .any(|v| v.name == finding.subject);
-            // Names of files stay as they are.
-            let subject = if is_view {
-                finding.subject.clone()
-            } else {
-                sentence(&finding.subject)
-            };
-            finding_ui(ui, &subject, finding);
+        for group in in_groups(&self.opened().report.findings) {
+            findings_card(ui, group);
         }
     }
 }
 
-fn finding_ui(ui: &mut egui::Ui, subject: &str, finding: &Finding) {
-    let word = match finding.severity {
+/// What several views have in common is told of so many of them; of the others, where the pointer rests.
+const SHOWN_OF_A_GROUP: usize = 3;
+
+/// What is found of one thing, or of each of several views.
+fn findings_card(ui: &mut egui::Ui, group: &[Finding]) {
+    let Finding {
+        severity, advice, ..
+    } = &group[0];
+    let word = match severity {
         Severity::Ok => "Good",
         Severity::Note => "Note",
         Severity::Warning => "Warning",
@@ -477,18 +472,36 @@ fn finding_ui(ui: &mut egui::Ui, subject: &str, finding: &Finding) {
     theme::card(ui).show(ui, |ui| {
         ui.set_width(ui.available_width());
         ui.horizontal_top(|ui| {
-            mark(finding.severity).show(ui).on_hover_text(word);
+            mark(*severity).show(ui).on_hover_text(word);
             ui.vertical(|ui| {
-                ui.horizontal_wrapped(|ui| {
-                    ui.label(RichText::new(subject).strong());
-                    ui.label(&finding.message);
-                });
-                if !finding.advice.is_empty() {
-                    ui.weak(&finding.advice);
+                let (shown, others) = group.split_at(group.len().min(SHOWN_OF_A_GROUP));
+                for finding in shown {
+                    ui.horizontal_wrapped(|ui| {
+                        ui.label(RichText::new(subject(finding)).strong());
+                        ui.label(&finding.message);
+                    });
+                }
+                if !others.is_empty() {
+                    let told = |of: &Finding| format!("{}  {}", of.subject, of.message);
+                    let told: Vec<String> = others.iter().map(told).collect();
+                    let label = ui.label(format!("The same in {} more", others.len()));
+                    label.on_hover_text(told.join("\n"));
+                }
+                if !advice.is_empty() {
+                    ui.weak(advice);
                 }
             });
         });
     });
+}
+
+/// What a finding is about, in words; names of files stay as they are.
+fn subject(finding: &Finding) -> String {
+    if finding.kind.is_some() {
+        finding.subject.clone()
+    } else {
+        sentence(&finding.subject)
+    }
 }
 
 fn mark(severity: Severity) -> Mark {

@@ -4,7 +4,7 @@ use super::print_report;
 use anyhow::Context as _;
 use rekindle_base::text::printable;
 use rekindle_capture::{Capture, LightFrame};
-use rekindle_estimate::preflight::{Finding, MeshReport, Report, Severity, ViewReport};
+use rekindle_estimate::preflight::{Finding, MeshReport, Report, Severity, ViewReport, in_groups};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -105,7 +105,7 @@ fn views_text(views: &[ViewReport]) -> String {
     out
 }
 
-/// One finding a line, its advice indented below.
+/// One finding a line; the advice for those of one kind indented below.
 fn findings_text(findings: &[Finding]) -> String {
     let subject = findings
         .iter()
@@ -113,20 +113,22 @@ fn findings_text(findings: &[Finding]) -> String {
         .max()
         .unwrap_or(0);
     let mut out = String::new();
-    for finding in findings {
-        let severity = match finding.severity {
+    for group in in_groups(findings) {
+        let severity = match group[0].severity {
             Severity::Ok => "ok",
             Severity::Note => "note",
             Severity::Warning => "warning",
             Severity::Error => "error",
         };
-        let _ = writeln!(
-            out,
-            "{severity:<7}  {:<subject$}  {}",
-            finding.subject, finding.message
-        );
-        if !finding.advice.is_empty() {
-            let _ = writeln!(out, "{:1$}{2}", "", subject + 11, finding.advice);
+        for finding in group {
+            let _ = writeln!(
+                out,
+                "{severity:<7}  {:<subject$}  {}",
+                finding.subject, finding.message
+            );
+        }
+        if !group[0].advice.is_empty() {
+            let _ = writeln!(out, "{:1$}{2}", "", subject + 11, group[0].advice);
         }
     }
     out

@@ -270,7 +270,8 @@ pub fn misfit(misfit: &Misfit, agreement: Option<Agreement>) -> Option<String> {
         let cause = if tilt.explained > MOSTLY {
             ", so they are probably off. Use a mesh with the object's normals, or a smoother one."
         } else {
-            "; the rest may be gloss that changes from place to place or is of another form, or cameras that are off."
+            "; the rest may be gloss that changes from place to place or is of another form, cameras that are off, or light that was \
+             not the same in all views, as on an object that was turned."
         };
         let verdict = if is_doubted(misfit, agreement) {
             ", and are not to be trusted"

@@ -1,6 +1,8 @@
 //! What the numbers of a report mean, and what to do about them.
 
-use super::{Finding, Report, Severity, ViewReport, are_misplaced, is_seen, mean_overlap};
+use std::cmp::Reverse;
+
+use super::{Finding, Kind, Report, Severity, ViewReport, are_misplaced, is_seen, mean_overlap};
 
 /// Intersection over union below which silhouettes are worth a warning, and below which nothing fits.
 pub(super) const IOU_FAIR: f64 = 0.95;
@@ -20,15 +22,34 @@ impl Findings {
     fn add(&mut self, severity: Severity, subject: &str, message: impl Into<String>, advice: &str) {
         self.0.push(Finding {
             severity,
+            kind: None,
             subject: subject.to_owned(),
             message: message.into(),
             advice: advice.to_owned(),
         });
     }
 
+    /// Of a view, which others may have in common with it.
+    fn of_view(
+        &mut self,
+        kind: Kind,
+        (severity, view): (Severity, &ViewReport),
+        message: impl Into<String>,
+        advice: &str,
+    ) {
+        self.0.push(Finding {
+            severity,
+            kind: Some(kind),
+            subject: view.name.clone(),
+            message: message.into(),
+            advice: advice.to_owned(),
+        });
+    }
+
+    /// Those of one kind follow one another.
     fn worst_first(self) -> Vec<Finding> {
         let mut findings = self.0;
-        findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
+        findings.sort_by_key(|finding| (Reverse(finding.severity), finding.kind));
         findings
     }
 }
@@ -89,9 +110,9 @@ fn sizes(report: &Report, findings: &mut Findings) {
     }
     for view in report.views.iter().filter(|v| v.width.min(v.height) < 100) {
         let message = format!("The image is only {}×{} pixels.", view.width, view.height);
-        findings.add(
-            Severity::Note,
-            &view.name,
+        findings.of_view(
+            Kind::Resolution,
+            (Severity::Note, view),
             message,
             "Use the full resolution if there is more.",
         );
@@ -103,27 +124,23 @@ fn place(view: &ViewReport, seen: bool, findings: &mut Findings) {
     const MATRIX: &str =
         "Check transform_matrix: camera to world, OpenGL axes, in the mesh's frame and units.";
     if view.inside {
-        findings.add(
-            Severity::Error,
-            &view.name,
-            "The camera is inside the mesh.",
-            MATRIX,
-        );
+        let message = "The camera is inside the mesh.";
+        findings.of_view(Kind::Inside, (Severity::Error, view), message, MATRIX);
         return;
     }
     if view.object_pixels == 0 {
         if seen {
             let message = "The camera looks away: it sees nothing of the mesh.";
-            findings.add(Severity::Error, &view.name, message, MATRIX);
+            findings.of_view(Kind::LooksAway, (Severity::Error, view), message, MATRIX);
         }
         return;
     }
     let share = view.object_pixels as f64 / (f64::from(view.width) * f64::from(view.height));
     if share < 0.02 {
         let message = format!("The object fills only {} of the image.", percent(share));
-        findings.add(
-            Severity::Note,
-            &view.name,
+        findings.of_view(
+            Kind::Small,
+            (Severity::Note, view),
             message,
             "Move closer: highlights need pixels.",
         );
@@ -133,7 +150,7 @@ fn place(view: &ViewReport, seen: bool, findings: &mut Findings) {
             "The object is cropped: it covers {} of the image's border.",
             percent(view.border_share)
         );
-        findings.add(Severity::Note, &view.name, message, "");
+        findings.of_view(Kind::Cropped, (Severity::Note, view), message, "");
     }
     if view.back_share > 0.01 {
         let message = format!(
@@ -142,7 +159,7 @@ fn place(view: &ViewReport, seen: bool, findings: &mut Findings) {
         );
         let advice =
             "Close the mesh's holes, or recalculate its normals so that all faces point outwards.";
-        findings.add(Severity::Warning, &view.name, message, advice);
+        findings.of_view(Kind::Backs, (Severity::Warning, view), message, advice);
     }
 }
 
@@ -154,20 +171,22 @@ fn pixels(view: &ViewReport, findings: &mut Findings) {
             "{} of the object's pixels are saturated.",
             percent(view.saturated_share)
         );
-        findings.add(
-            Severity::Warning,
-            &view.name,
+        findings.of_view(
+            Kind::Saturated,
+            (Severity::Warning, view),
             message,
             "Add shorter exposures: highlights carry the lighting.",
         );
     }
-    for (count, what, advice) in [
+    for (kind, count, what, advice) in [
         (
+            Kind::NonFinite,
             counts.non_finite,
             "not finite",
             "Find out which program wrote them and export anew.",
         ),
         (
+            Kind::Negative,
             counts.negative,
             "negative",
             "Check the black level that was subtracted, or a sharpening filter.",
@@ -176,7 +195,7 @@ fn pixels(view: &ViewReport, findings: &mut Findings) {
         let share = count as f64 / all;
         if share > 0.01 {
             let message = format!("{} of the pixels are {what}.", percent(share));
-            findings.add(Severity::Warning, &view.name, message, advice);
+            findings.of_view(kind, (Severity::Warning, view), message, advice);
         }
     }
 }
@@ -202,7 +221,7 @@ fn silhouettes(views: &[ViewReport], findings: &mut Findings) {
              down) from the mesh.",
             percent(iou)
         );
-        findings.add(severity, &view.name, message, advice);
+        findings.of_view(Kind::Overlap, (severity, view), message, advice);
     }
     let least = known
         .iter()
@@ -241,8 +260,9 @@ fn exposures(report: &Report, findings: &mut Findings) {
         let message = format!(
             "The view is {times:.2} times {word} than the others at the same points of the surface."
         );
-        let advice = "Bring all views to one exposure and white balance: fixed by hand in the camera, or by exposures[].";
-        findings.add(Severity::Warning, &view.name, message, advice);
+        let advice = "Differences are evened out, unless exposures are trusted. Better is one exposure and white balance for all views: \
+             fixed by hand in the camera, or by exposures[].";
+        findings.of_view(Kind::Exposure, (Severity::Warning, view), message, advice);
     }
     if !known.is_empty() && !known.iter().any(|(_, ratio)| odd(*ratio)) {
         let off = known

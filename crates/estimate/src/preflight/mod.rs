@@ -36,11 +36,41 @@ pub enum Severity {
     Error,
 }
 
+/// What several views may be found to have in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// The camera is inside the mesh.
+    Inside,
+    /// The camera sees nothing of the mesh.
+    LooksAway,
+    /// Mesh and alpha or mask overlap too little.
+    Overlap,
+    /// The view is brighter or darker than others.
+    Exposure,
+    /// Pixels are saturated.
+    Saturated,
+    /// Pixels are not finite.
+    NonFinite,
+    /// Pixels are negative.
+    Negative,
+    /// The back of triangles is seen.
+    Backs,
+    /// The object is cropped by the image's border.
+    Cropped,
+    /// The object fills little of the image.
+    Small,
+    /// The image has few pixels.
+    Resolution,
+}
+
 /// One thing found out about a capture.
 #[derive(Clone, Debug, Serialize)]
 pub struct Finding {
     /// How much it matters.
     pub severity: Severity,
+    /// What it is of a view; none where it is about something else.
+    pub kind: Option<Kind>,
     /// What it is about, such as a view's name or "mesh".
     pub subject: String,
     /// What was found.
@@ -66,7 +96,7 @@ pub struct Report {
     pub views: Vec<ViewReport>,
     /// Share of the surface's area seen by no view, one, two, and three or more.
     pub seen_by: [f64; 4],
-    /// Judgements, the worst first.
+    /// Judgements, the worst first; those of one kind follow one another.
     pub findings: Vec<Finding>,
 }
 
@@ -166,6 +196,15 @@ pub fn misplacements(
     severe.map(|finding| (of(&finding), finding)).collect()
 }
 
+/// Findings by what views have in common, in the same order: each is one, or one of each of several views.
+pub fn in_groups(findings: &[Finding]) -> impl Iterator<Item = &[Finding]> {
+    findings.chunk_by(|a, b| a.severity == b.severity && is_same_kind(a, b))
+}
+
+fn is_same_kind(a: &Finding, b: &Finding) -> bool {
+    a.kind.is_some() && a.kind == b.kind
+}
+
 /// Why a solve's result is not to be trusted for some of [`misplacements`], in whole sentences: each kind once with the first view that
 /// has it.
 pub fn why_misplaced<'a>(found: impl IntoIterator<Item = &'a Finding>) -> Vec<String> {
@@ -173,7 +212,7 @@ pub fn why_misplaced<'a>(found: impl IntoIterator<Item = &'a Finding>) -> Vec<St
     for finding in found {
         match kinds
             .iter_mut()
-            .find(|(kind, _)| kind.advice == finding.advice)
+            .find(|(kind, _)| is_same_kind(kind, finding))
         {
             Some((_, times)) => *times += 1,
             None => kinds.push((finding, 1)),
@@ -303,6 +342,35 @@ mod tests {
         assert_eq!(errors.count(), 1, "{:#?}", far.findings);
         assert!(finding(&far, "No camera sees the mesh").is_some());
         assert!(finding(&far, "alpha or a mask").is_none());
+    }
+
+    #[test]
+    fn what_views_have_in_common_is_one_group() {
+        let (mut capture, pixels) = capture();
+        let turn = |camera: &mut rekindle_capture::Camera, by: f64| {
+            camera.world_from_camera.matrix3 *= glam::DMat3::from_rotation_y(by);
+        };
+        for view in [0, 3] {
+            turn(&mut capture.views[view].camera, std::f64::consts::PI);
+        }
+        for view in [1, 2] {
+            turn(&mut capture.views[view].camera, 0.05);
+        }
+        let report = Report::new(&capture, &pixels);
+        let of_group = |group: &[Finding]| {
+            let kind = group[0].kind?;
+            Some((kind, group.iter().map(|f| f.subject.clone()).collect()))
+        };
+        let groups: Vec<(Kind, Vec<String>)> =
+            in_groups(&report.findings).filter_map(of_group).collect();
+        let views = |of: [usize; 2]| of.map(|i| capture.views[i].name.clone()).to_vec();
+        assert!(
+            groups.contains(&(Kind::LooksAway, views([0, 3])))
+                && groups.contains(&(Kind::Overlap, views([1, 2]))),
+            "{groups:?}"
+        );
+        let all: usize = in_groups(&report.findings).map(<[Finding]>::len).sum();
+        assert_eq!(all, report.findings.len());
     }
 
     #[test]

@@ -218,7 +218,7 @@ fn gain(measured: &[Vec3], found: &[Vec3]) -> Option<DVec3> {
 /// A table of predictions, with a line for each capture's mean.
 pub fn table(predicted: &[Predicted]) -> String {
     let mut text = String::from(
-        "| capture | left out | lamps | all, dB | highlights, dB | diffuse alone: all, dB | highlights, dB |\n\
+        "| capture | left out | lights | all, dB | highlights, dB | diffuse alone: all, dB | highlights, dB |\n\
          | --- | --- | --- | --- | --- | --- | --- |\n",
     );
     for views in predicted.chunk_by(|a, b| a.capture == b.capture) {
