@@ -651,6 +651,8 @@ impl Measured {
     }
 
     /// Corrections of cameras, with those of exposures that lights bear out: as the views' medians have them, or as the lights themselves do.
+    /// The latter count where lights leave less of all views, or else where they predict views left out better: of broad light a view left
+    /// out shows what no other has seen, and medians take that for its exposure.
     fn borne_out(
         &self,
         stated: &Capture,
@@ -675,13 +677,13 @@ impl Measured {
         }
         let capture = corrected(stated, &best.1);
         let input = self.input(&capture, grid);
-        if let Some(gains) = gains_by_lights(&input, params, observer)? {
-            let own = best.1.iter().zip(gains).map(|(correction, gains)| {
+        if let Some(told) = gains_by_lights(&input, params, observer)? {
+            let own = best.1.iter().zip(&told.gains).map(|(correction, gains)| {
                 let before = correction.gains();
                 correction.with_gains([0, 1, 2].map(|c| before[c] * gains[c]))
             });
             let own: Vec<Correction> = own.collect();
-            if bears_out(&left(&own, observer)?, &best.0) {
+            if told.leave_less || bears_out(&left(&own, observer)?, &best.0) {
                 best.1 = own;
             }
         }

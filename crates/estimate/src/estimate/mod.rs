@@ -68,6 +68,7 @@ use alternating::{Order, Terms};
 use cells::Pyramid;
 use course::{Ending, Grounds, Outcome, Rules};
 pub use diagnose::OFF_NORMALS;
+pub use exposures::ExposuresByLights;
 use exposures::by_lights;
 use fast::{Fit, Solver, Watch};
 use held_out::relatively_left_out;
@@ -292,13 +293,12 @@ pub fn bears_out(evened: &[f64], before: &[f64]) -> bool {
     signed_ranks(before, evened) > SURE
 }
 
-/// How much brighter each view is than most of them in each channel, RGB, as that fits lights best; `None`
-/// where some views share too little with others.
+/// The views' exposures that fit lights best; `None` where some views share too little with others.
 pub fn gains_by_lights(
     input: &EstimateInput<'_>,
     params: &EstimateParams,
     observer: &mut dyn Observer,
-) -> Result<Option<Vec<[f64; 3]>>, Stopped> {
+) -> Result<Option<ExposuresByLights>, Stopped> {
     with_reduced(input, params, observer, |solver, _| {
         // One without a diffuse part and one with it.
         let models = [SpecularModel::Metal, SpecularModel::Ggx];

@@ -22,24 +22,38 @@ use super::super::design::Design;
 use super::super::fast::Solver;
 use super::super::observations::Point;
 use super::super::state::{CLUSTERS, ROUGH, State};
+use super::super::suspects::left;
 use super::super::weights::transmitted_share;
 use super::ENOUGH;
+use rekindle_base::math::ranks::{SURE, signed_ranks};
 use rekindle_base::math::{median, vector};
 use rekindle_scene::reflectance::{Brdf, SpecularModel};
 
 /// Turns of lights and exposures at each of some roughnesses, radians, and what the latter change by in one at most.
 const TURNS: usize = 4;
-const SIGMAS: [f32; 3] = [0.13, 0.08, 0.05];
+const SIGMAS: [f32; 4] = [0.2, 0.13, 0.08, 0.05];
 const MOST_AT_ONCE: f64 = 0.3;
+/// How often rows are weighted anew where what lights leave is judged.
+const REWEIGHTINGS: usize = 2;
 /// By how much exposures and channels beside one another differ in photographs of one series, as a standard deviation of their logarithms.
 const EXPOSURE: f64 = 0.5;
 const BALANCE: f64 = 0.1;
+
+/// Exposures that lights say.
+pub struct ExposuresByLights {
+    /// How much brighter each view is than most in each channel, RGB.
+    pub gains: Vec<[f64; 3]>,
+    /// Whether lights leave less of the views then than of these as they are, beyond chance: both have as many unknowns. Of a metal that says
+    /// little, as all that it shows is light that follows any exposures.
+    pub leave_less: bool,
+}
+
 /// How much brighter each view is than most of them in each channel, RGB, where lights explain them best; `None` where some views share
 /// too little with others.
 ///
 /// Which lobe the surface has shows only once views are evened: each is tried, at roughnesses from the widest on. A metal has no diffuse
 /// part: all that it shows comes from somewhere all around, which says more of exposures than what differs between views does.
-pub fn by_lights(solver: &Solver<'_>, models: &[SpecularModel]) -> Option<Vec<[f64; 3]>> {
+pub fn by_lights(solver: &Solver<'_>, models: &[SpecularModel]) -> Option<ExposuresByLights> {
     let colours = solver.coarse_colours();
     // Shadows would pass for dark views.
     let of_model = |&model: &SpecularModel| {
@@ -57,13 +71,51 @@ pub fn by_lights(solver: &Solver<'_>, models: &[SpecularModel]) -> Option<Vec<[f
             of_lobes(&shadowed, &solver.roots(), model, solver.seen.views.len())
         }
     };
-    let found: Vec<ByLights> = models.par_iter().filter_map(of_model).collect();
+    let found: Vec<UnderLobe> = models.par_iter().filter_map(of_model).collect();
     let best = found.into_iter().min_by(|a, b| a.left.total_cmp(&b.left))?;
-    Some(best.gains)
+    let UnderLobe { brdf, gains, .. } = best;
+    let leave_less = brdf.model != SpecularModel::Metal && {
+        let shadowed = solver.coarse_design(&colours);
+        let as_they_are = vec![[1.0; 3]; gains.len()];
+        let (before, after) = rayon::join(
+            || fitted(&shadowed, &solver.roots(), brdf, &as_they_are),
+            || fitted(&shadowed, &solver.roots(), brdf, &gains),
+        );
+        after.unexplained < before.unexplained && signed_ranks(&before.left, &after.left) > SURE
+    };
+    Some(ExposuresByLights { gains, leave_less })
 }
 
-/// Exposures that lights say.
-struct ByLights {
+/// What lights leave of the views.
+struct Fitted {
+    /// See [`State::unexplained`].
+    unexplained: f64,
+    /// See [`left`].
+    left: Vec<f64>,
+}
+
+/// What a lobe's lights on some cells leave of the views, divided by their gains.
+fn fitted(shadowed: &Design<'_>, cells: &[Cell], brdf: Brdf, gains: &[[f64; 3]]) -> Fitted {
+    let evened = shadowed.observations.divided(gains);
+    let design = Design {
+        observations: &evened,
+        ..shadowed.clone()
+    };
+    let mut state = State::new(design, cells.to_vec(), brdf);
+    for _ in 0..REWEIGHTINGS {
+        state.solve_lights(ROUGH);
+        state.reweight();
+    }
+    state.solve_lights(ROUGH);
+    Fitted {
+        unexplained: state.unexplained(),
+        left: left(&state),
+    }
+}
+
+/// Exposures that lights say under a lobe.
+struct UnderLobe {
+    brdf: Brdf,
     /// How much brighter each view is than most in each channel, RGB.
     gains: Vec<[f64; 3]>,
     /// What lights leave then.
@@ -76,14 +128,15 @@ fn of_lobes(
     cells: &[Cell],
     model: SpecularModel,
     views: usize,
-) -> Option<ByLights> {
-    let mut best: Option<ByLights> = None;
+) -> Option<UnderLobe> {
+    let mut best: Option<UnderLobe> = None;
     let mut gains = vec![[1.0; 3]; views];
     for sigma in SIGMAS {
-        let left = taken_in_turns(shadowed, cells, Brdf::new(model, sigma), &mut gains)?;
+        let brdf = Brdf::new(model, sigma);
+        let left = taken_in_turns(shadowed, cells, brdf, &mut gains)?;
         if best.as_ref().is_none_or(|best| left < best.left) {
             let gains = gains.clone();
-            best = Some(ByLights { gains, left });
+            best = Some(UnderLobe { brdf, gains, left });
         }
     }
     best

@@ -12,7 +12,7 @@ mod by_lights;
 use super::observations::{Point, Row};
 use super::state::State;
 use super::weights::transmitted_share;
-pub use by_lights::by_lights;
+pub use by_lights::{ExposuresByLights, by_lights};
 use rekindle_base::math::{centred, median};
 
 /// Only differences past this, or where there are any past the other, and past this many standard errors, are any.
