@@ -347,28 +347,15 @@ mod tests {
     #[test]
     fn what_views_have_in_common_is_one_group() {
         let (mut capture, pixels) = capture();
-        let turn = |camera: &mut rekindle_capture::Camera, by: f64| {
-            camera.world_from_camera.matrix3 *= glam::DMat3::from_rotation_y(by);
-        };
         for view in [0, 3] {
-            turn(&mut capture.views[view].camera, std::f64::consts::PI);
-        }
-        for view in [1, 2] {
-            turn(&mut capture.views[view].camera, 0.05);
+            let pose = &mut capture.views[view].camera.world_from_camera;
+            pose.matrix3 *= glam::DMat3::from_rotation_y(std::f64::consts::PI);
         }
         let report = Report::new(&capture, &pixels);
-        let of_group = |group: &[Finding]| {
-            let kind = group[0].kind?;
-            Some((kind, group.iter().map(|f| f.subject.clone()).collect()))
-        };
-        let groups: Vec<(Kind, Vec<String>)> =
-            in_groups(&report.findings).filter_map(of_group).collect();
-        let views = |of: [usize; 2]| of.map(|i| capture.views[i].name.clone()).to_vec();
-        assert!(
-            groups.contains(&(Kind::LooksAway, views([0, 3])))
-                && groups.contains(&(Kind::Overlap, views([1, 2]))),
-            "{groups:?}"
-        );
+        let away = in_groups(&report.findings).find(|group| group[0].kind == Some(Kind::LooksAway));
+        let subjects = away.map(|group| group.iter().map(|f| f.subject.clone()).collect());
+        let views = [0, 3].map(|i| capture.views[i].name.clone()).to_vec();
+        assert_eq!(subjects, Some(views), "{:#?}", report.findings);
         let all: usize = in_groups(&report.findings).map(<[Finding]>::len).sum();
         assert_eq!(all, report.findings.len());
     }
