@@ -342,6 +342,8 @@ impl CapturePage {
         ui.horizontal(|ui| {
             theme::group(ui, "Photographs");
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                // The scroll bar lies there.
+                ui.add_space(theme::GAP);
                 ui.checkbox(&mut shared.settings.outline, "Outline of the mesh")
                     .on_hover_text("Lay the mesh's outline, as each camera sees it, over the photographs: it must fit");
                 if self.large.is_some()
@@ -455,8 +457,8 @@ impl CapturePage {
     }
 }
 
-/// What several views have in common is told of so many of them; of the others, where the pointer rests.
-const SHOWN_OF_A_GROUP: usize = 3;
+/// What more views than this have in common is told of one fewer; of the others, where the pointer rests.
+const MOST_OF_A_GROUP: usize = 4;
 
 /// What is found of one thing, or of each of several views.
 fn findings_card(ui: &mut egui::Ui, group: &[Finding]) {
@@ -474,7 +476,12 @@ fn findings_card(ui: &mut egui::Ui, group: &[Finding]) {
         ui.horizontal_top(|ui| {
             mark(*severity).show(ui).on_hover_text(word);
             ui.vertical(|ui| {
-                let (shown, others) = group.split_at(group.len().min(SHOWN_OF_A_GROUP));
+                let shown = if group.len() > MOST_OF_A_GROUP {
+                    MOST_OF_A_GROUP - 1
+                } else {
+                    group.len()
+                };
+                let (shown, others) = group.split_at(shown);
                 for finding in shown {
                     ui.horizontal_wrapped(|ui| {
                         ui.label(RichText::new(subject(finding)).strong());
@@ -484,7 +491,7 @@ fn findings_card(ui: &mut egui::Ui, group: &[Finding]) {
                 if !others.is_empty() {
                     let told = |of: &Finding| format!("{}  {}", of.subject, of.message);
                     let told: Vec<String> = others.iter().map(told).collect();
-                    let label = ui.label(format!("The same in {} more", others.len()));
+                    let label = ui.label(format!("The same in {} more views", others.len()));
                     label.on_hover_text(told.join("\n"));
                 }
                 if !advice.is_empty() {
