@@ -233,8 +233,7 @@ fn uniform_light_on_a_glossy_object_gives_a_bound_of_the_roughness() {
     assert!(found.brdf.unwrap().sigma < high);
 }
 
-/// What soft gloss is found on a capture whose views are exposed by these factors.
-/// The same with its views exposed differently.
+/// A capture with its views exposed by these factors.
 fn exposed(mut capture: Capture, exposures: &[f32]) -> Capture {
     for (view, exposure) in capture.views.iter_mut().zip(exposures) {
         let radiance = &mut Arc::make_mut(&mut view.photograph).radiance;
@@ -245,6 +244,7 @@ fn exposed(mut capture: Capture, exposures: &[f32]) -> Capture {
     capture
 }
 
+/// What soft gloss is found on a capture whose views are exposed by these factors.
 fn soft_gloss_of(capture: Capture, exposures: &[f32]) -> Option<Ending> {
     with_solver(&exposed(capture, exposures), |solver| {
         let mut watch = Watch {
@@ -882,8 +882,9 @@ fn exposures_of_a_matte_object_are_told_too() {
     let factors = [1.5, 0.8, 1.0, 0.6, 1.3, 0.9];
     with_solver(&exposed(matte(), &factors), |solver| {
         let models = [SpecularModel::Metal, SpecularModel::Ggx];
-        let told = by_lights(solver, &models).expect("views share the surface");
-        let gains = told.gains;
+        let gains = by_lights(solver, &models)
+            .expect("views share the surface")
+            .gains;
         for (gain, factor) in gains.iter().zip(factors) {
             for channel in 0..3 {
                 let off = gain[channel] / gains[0][channel] * f64::from(factors[0] / factor) - 1.0;
